@@ -46,7 +46,7 @@ pub use encoder::Encoder;
 #[cfg(any(test, feature = "unstable"))]
 pub use file::divide;
 pub(crate) use file::smallest;
-#[cfg(feature = "unstable")]
+#[cfg(any(test, feature = "unstable"))]
 pub use layer::texture::Texture;
 use rate_control::MAX_PRIMITIVES;
 use report::ReportBuilder;

@@ -3,14 +3,14 @@
 //! Each operation is one IEEE operation per lane and none is fused, so that every instruction set gives the same bits.
 //! Sixteen lanes of AVX-512, two rows of a strip, are hardly faster.
 
-#[cfg(target_arch = "x86_64")]
-mod avx2;
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+mod native;
 #[cfg(not(all(target_family = "wasm", target_feature = "simd128")))]
 mod plain;
 #[cfg(all(target_family = "wasm", target_feature = "simd128"))]
 mod wasm;
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 use std::sync::OnceLock;
 
 #[cfg(test)]
@@ -41,11 +41,11 @@ pub trait Task {
 }
 
 /// Environment variable that selects the plain instructions.
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 const VARIABLE: &str = "SSPLAT_SIMD";
 
 /// Returns whether [`VARIABLE`] was `plain` when this function was first called.
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 fn is_plain_asked_for() -> bool {
     static ASKED: OnceLock<bool> = OnceLock::new();
     *ASKED.get_or_init(|| std::env::var_os(VARIABLE).is_some_and(|value| value == "plain"))
@@ -54,9 +54,9 @@ fn is_plain_asked_for() -> bool {
 /// Runs `task` with the best instructions that the machine supports, or with the plain ones if the environment asks
 /// for them.
 pub fn dispatch<T: Task>(task: T) -> T::Output {
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
     if !is_plain_asked_for()
-        && let Some(simd) = fearless_simd::Level::new().as_avx2()
+        && let Some(simd) = native::supported()
     {
         return simd.call(task);
     }
@@ -66,8 +66,8 @@ pub fn dispatch<T: Task>(task: T) -> T::Output {
     task.run(plain::Plain)
 }
 
-/// Returns the instruction set for fitting and rendering on the CPU: `"avx2"`; `"simd128"` in WebAssembly compiled for
-/// it; or `"plain"`, the baseline for which the crate is compiled.
+/// Returns the instruction set for fitting and rendering on the CPU: `"avx2"`; `"neon"` on ARM;
+/// `"simd128"` in WebAssembly compiled for it; or `"plain"`, the baseline for which the crate is compiled.
 ///
 /// Files and pixels are the same with all of them. The environment variable `SSPLAT_SIMD=plain`, read once per
 /// process, selects the plain instructions, to compare them or to rule out the others as the cause of a wrong result.
