@@ -12,7 +12,9 @@ def number(value, digits):
 
 
 def signed(value, digits):
-    """A difference, with its sign."""
+    """A difference, with its sign unless it is 0 in these digits."""
+    if float(f"{value:.{digits}f}") == 0:
+        return number(0.0, digits)
     text = number(value, digits)
     return text if text[0] in "−–" else f"+{text}"
 

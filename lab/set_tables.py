@@ -5,6 +5,8 @@ from report import commit_of, measured_when, multiples, number, signed, table, w
 NAMES = {"kodak": "Kodak", "cid22": "CID22", "graphics": "Graphics", "clic": "CLIC", "large": "Large pictures"}
 CHART = ["kodak", "cid22", "clic", "graphics"]
 RATIOS = dict.fromkeys(CHART, ["5", "10", "15", "20", "50", "100", "200"]) | {"large": ["20", "50", "100", "200"]}
+# Ratios at which AVIF has a file of every picture in the chart.
+CHART_RATIOS = ["20", "50", "100"]
 # Measures and their digits, in the order of the columns.
 COLUMNS = {"ssimulacra2": 1, "butteraugli": 2, "ms_ssim": 4, "psnr": 2}
 HEAD = ["SSIMULACRA2", "Butteraugli", "MS-SSIM", "PSNR, dB"]
@@ -54,21 +56,26 @@ def set_table(found):
     return table(["ratio", "", *HEAD, "pictures ahead", "worst picture", "CPU s"], lines, 2)
 
 
-def panel(found):
-    """The curves of a set: means over all of its pictures, drawn where a codec has a file of that size for each."""
+def panel(set_name, found):
+    """The title and the curves of a set: means over the pictures that AVIF covers at each of `CHART_RATIOS`, drawn where
+    a codec has a file of that size for all of them."""
+    covered = set.intersection(*({stem for stem, *_, others in found[ratio] if others["AVIF"]} for ratio in CHART_RATIOS if ratio in found))
     lines = {"ssplat": []}
     for rows in found.values():
-        def bits(picture, ours):
-            from PIL import Image
-            width, height = Image.open(picture).size
-            return 8 * ours["bytes"] / (width * height)
-        x = mean(bits(picture, ours) for _, picture, ours, _ in rows)
-        lines["ssplat"].append((x, mean(ours["ssimulacra2"] for *_, ours, _ in rows)))
+        of = [row for row in rows if row[0] in covered]
+        x = mean(8 * ours["bytes"] / pixels_of(picture) for _, picture, ours, _ in of)
+        lines["ssplat"].append((x, mean(ours["ssimulacra2"] for *_, ours, _ in of)))
         for label, drawn in (("AVIF", "AVIF tune=iq"), ("JPEG XL", "JPEG XL"), ("WebP", "WebP")):
-            of = [others[label] for *_, others in rows]
-            if all(of):
-                lines.setdefault(drawn, []).append((x, mean(made["ssimulacra2"] for made in of)))
-    return lines
+            reached = [others[label] for *_, others in of]
+            if all(reached):
+                lines.setdefault(drawn, []).append((x, mean(made["ssimulacra2"] for made in reached)))
+    return f"{NAMES[set_name]}, {len(covered)} of {len(rows)} pictures", lines
+
+
+def pixels_of(picture):
+    from PIL import Image
+    width, height = Image.open(picture).size
+    return width * height
 
 
 def effort_rows(lab, name, set_name, efforts):
@@ -100,7 +107,7 @@ def write(lab, root):
     for set_name in args.sets.split(","):
         found = {ratio: measured_set(lab, name, set_name, ratio) for ratio in (args.ratios.split(",") if args.ratios else RATIOS[set_name])}
         tables[f"set {set_name}"] = set_table(found)
-        panels[set_name] = panel(found)
+        panels[set_name] = panel(set_name, found)
         print(f"{set_name}\n{tables[f'set {set_name}']}", flush=True)
     for set_name in CHART if args.efforts else []:
         rows += effort_rows(lab, name, set_name, args.efforts.split(","))
@@ -110,5 +117,5 @@ def write(lab, root):
     tables["sets when"] = measured_when(args.commit or commit_of(root))
     write_tables(root / "docs/BENCHMARKS.md", tables)
     if all(set_name in panels for set_name in CHART):
-        chart = multiples({NAMES[set_name]: panels[set_name] for set_name in CHART}, (0.1, 5.0, (0.1, 0.2, 0.5, 1, 2, 5), "bits per pixel (24 divided by the ratio)"), (0, 100, 20))
+        chart = multiples(dict(panels[set_name] for set_name in CHART), (0.1, 5.0, (0.1, 0.2, 0.5, 1, 2, 5), "bits per pixel (24 divided by the ratio)"), (-20, 100, 20))
         (root / "docs/sets.svg").write_text(chart)
