@@ -150,6 +150,12 @@ class Files:
                 found.append(reached | {"codec": codec})
         return max(found, key=lambda made: made["ssimulacra2"], default=None)
 
+    def best_below(self, picture, codecs, size):
+        """Returns the measures of the best of the largest files of some codecs, of those that are smaller than a size, or
+        None."""
+        found = [self.point(picture, codec, codec.qualities[-1]) | {"codec": codec} for codec in codecs if self.size(picture, codec, codec.qualities[-1]) < size]
+        return max(found, key=lambda made: made["ssimulacra2"], default=None)
+
 
 def at(points, size, key):
     """Interpolates a measure at a size in bytes between the two nearest files, over the logarithm of the size.
