@@ -81,6 +81,7 @@ def main():
     parser.add_argument("--ratio", type=float, default=50)
     parser.add_argument("--parts", default="0.5", help="quantiles of the amount of detail, one row each [default: 0.5]")
     parser.add_argument("--speed", type=int, default=3, help="speed of AVIF's encoder [default: 3]")
+    parser.add_argument("--quality", type=int, default=82, help="quality of the sheet's WebP file [default: 82]")
     parser.add_argument("--sheet", type=pathlib.Path, required=True)
     given = parser.parse_args()
     quantiles = [float(word) for word in given.parts.split(",")]
@@ -103,7 +104,7 @@ def main():
                     pen.text((column * width + 2, top + 1), title, "black")
                     sheet.paste(seen.crop((x, y, x + width, y + height)), (column * width, top + TITLES))
             print(source.stem, *(size for *_, size in shown[1:]), flush=True)
-    sheet.save(given.sheet, quality=82, method=6)
+    sheet.save(given.sheet, quality=given.quality, method=6)
 
 
 if __name__ == "__main__":
