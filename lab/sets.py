@@ -35,7 +35,7 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pictures", type=pathlib.Path)
     parser.add_argument("programs", nargs="+", metavar="NAME=PROGRAM")
-    parser.add_argument("--sets", help="kodak, cid22, graphics, clic or large, separated by commas; by default all but large, and all with --page")
+    parser.add_argument("--sets", default=",".join(set_tables.CHART), help="kodak, cid22, graphics, clic or large, separated by commas; by default all but large")
     parser.add_argument("--half", choices=["choose", "judge", "all"], default="all")
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
     parser.add_argument("--ratios", help="by default 20,50,100,200, and those of lab/set_tables.py with --page")
@@ -53,7 +53,6 @@ def arguments():
     parser.add_argument("--efforts", default="", help="with --page: efforts of the table of encoding times, separated by commas")
     parser.add_argument("--commit", help="with --page: the commit of the program; by default that of this folder")
     args = parser.parse_args()
-    args.sets = args.sets or ",".join(set_tables.RATIOS if args.page else set_tables.CHART)
     if not args.page:
         args.ratios = args.ratios or "20,50,100,200"
     # The AVIF files of `avif` are RGB with 8 bits.
