@@ -12,7 +12,7 @@ COLUMNS = {"ssimulacra2": 1, "butteraugli": 2, "ms_ssim": 4, "psnr": 2}
 HEAD = ["SSIMULACRA2", "Butteraugli", "MS-SSIM", "PSNR, dB"]
 EFFORT_RATIO, DEFAULT_EFFORT = "50", "5"
 # Speeds of AVIF in the table of efforts; speed 3 takes minutes for a picture of CLIC.
-EFFORT_SPEEDS = dict.fromkeys(CHART, [6, 3]) | {"clic": [6]}
+EFFORT_SPEEDS = dict.fromkeys(RATIOS, [6, 3]) | {"clic": [6], "large": [6]}
 
 
 def codecs_of(set_name, ratio):
@@ -116,7 +116,7 @@ def write(lab, root):
         tables[f"set {set_name}"] = set_table(found)
         panels[set_name] = panel(set_name, found)
         print(f"{set_name}\n{tables[f'set {set_name}']}", flush=True)
-    for set_name in CHART if args.efforts else []:
+    for set_name in args.sets.split(",") if args.efforts else []:
         rows += effort_rows(lab, name, set_name, args.efforts.split(","))
     if rows:
         tables["set efforts"] = table(["set", "pictures", "encoder", "CPU s", *HEAD[:3]], rows, 3)
