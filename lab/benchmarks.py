@@ -14,17 +14,25 @@ decode_speed`, and the programs cwebp, dwebp, avifenc and avifdec. It crops the 
 megapixels, and the second to 24. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
 seconds of one thread.
 """
-import argparse, concurrent.futures, csv, hashlib, io, json, os, pathlib, platform, re, resource, statistics, subprocess, sys, tempfile, time
+import argparse, concurrent.futures, csv, dataclasses, hashlib, os, pathlib, sys, tempfile
+
+from other_codecs import JPEG_XL, MEASURES, WEBP, Cache, Codec, at, avif, mean, measured
+from other_codecs import run as run_with
+from report import commit_of, measured_when, number, svg, table, write_tables
 
 root = pathlib.Path(__file__).resolve().parent.parent
 page, rows_file = root / "docs/BENCHMARKS.md", root / "docs/benchmarks.csv"
 chart, speed_chart = root / "docs/quality.svg", root / "docs/speed.svg"
 RATIOS = [20, 50, 100, 200, 500]
 # Quality settings of the other codecs, from small files to large ones.
-QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [0, 4, 10, 18, 40, 66, 80, 88, 94], "jxl": [1, 4, 10, 20, 50, 65, 90, 95]}
+OTHERS = {
+    "jpeg": Codec("jpeg", "progressive", {"optimize": True, "progressive": True}, (4, 8, 14, 35, 55, 88)),
+    "webp": dataclasses.replace(WEBP[0], qualities=(0, 5, 15, 50, 70, 93)),
+    "avif": dataclasses.replace(avif(3)[0], qualities=(0, 4, 10, 18, 40, 66, 80, 88, 94)),
+    "jxl": dataclasses.replace(JPEG_XL[0], qualities=(1, 4, 10, 20, 50, 65, 90, 95)),
+}
 # Quality settings of AVIF around a ratio of 50, for each of the four pictures of the tables of efforts and speeds.
 AROUND_50 = {5: (31, 36), 13: (27, 34), 15: (48, 57), 23: (58, 67)}
-MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
 args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 args.add_argument("program", type=pathlib.Path)
@@ -36,35 +44,18 @@ args = args.parse_args()
 args.program = args.program.resolve()
 only = args.only.split(",")
 cache = root / "target/benchmarks"
-cache.mkdir(parents=True, exist_ok=True)
+kept = Cache(cache).kept
 build = hashlib.sha256(args.program.read_bytes()).hexdigest()[:16]
-commit = subprocess.run(["git", "log", "-1", "--format=%h"], cwd=root, capture_output=True, text=True).stdout.strip()
+commit = commit_of(root)
 pictures = [args.kodak / f"kodim{k:02}.png" for k in range(1, 24, 2)]
-environment = os.environ | {"RAYON_NUM_THREADS": "1"}
 
 
 def run(command):
-    """Runs a command and returns its output and CPU seconds."""
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        child = subprocess.Popen([str(c) for c in command], stdout=out, stderr=err, env=environment)
-        _, status, used = os.wait4(child.pid, 0)
-        out.seek(0), err.seek(0)
-        if status:
-            sys.exit(f"{' '.join(map(str, command))}: {err.read().decode()}")
-        return out.read().decode(), used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
-
-
-def kept(name, work):
-    """Returns the result of `work`, from the cache if it is there."""
-    path = cache / (hashlib.sha256(name.encode()).hexdigest()[:24] + ".json")
-    if not path.exists():
-        path.write_text(json.dumps(work()))
-    return json.loads(path.read_text())
+    return run_with(command, {"RAYON_NUM_THREADS": "1"})
 
 
 def compared(original, made):
-    out, _, _ = run([args.program, "compare", original, made, "--json"])
-    return {key: value for key, value in json.loads(out).items() if key in MEASURES}
+    return measured(args.program, original, made)
 
 
 def ours(picture, options, decodes=0):
@@ -81,63 +72,20 @@ def ours(picture, options, decodes=0):
     return kept(f"{build} {picture.name} {options} {decodes}", work)
 
 
-def others(picture, codec, quality, speed=3):
+def others(picture, name, quality, speed=3):
+    codec = avif(speed)[0] if name == "avif" else OTHERS[name]
+
     def work():
-        from PIL import Image
-        if codec == "jxl":
-            import pillow_jxl  # noqa: F401
-        image = Image.open(picture).convert("RGB")
-        options = {"jpeg": {"optimize": True, "progressive": True}, "webp": {"method": 6}, "avif": {"speed": speed, "max_threads": 1, "subsampling": "4:2:0", "advanced": {"tune": "iq"}}, "jxl": {"effort": 7}}[codec]
         with tempfile.TemporaryDirectory() as folder:
-            file, back = pathlib.Path(folder, f"a.{codec}"), pathlib.Path(folder, "a.png")
-            start = time.thread_time()
-            image.save(file, quality=quality, **options)
-            seconds = time.thread_time() - start
-            start = time.thread_time()
-            decoded = Image.open(file).convert("RGB")
-            decode = time.thread_time() - start
-            decoded.save(back)
-            return {"bytes": file.stat().st_size, "encode_s": seconds, "decode_s": decode} | compared(picture, back)
-    return kept(f"{codec} {picture.name} {quality} {speed} on one thread", work)
+            file, back = pathlib.Path(folder, f"a.{name}"), pathlib.Path(folder, "a.png")
+            seconds = codec.timed(picture, quality, file, back)
+            return {"bytes": file.stat().st_size} | seconds | compared(picture, back)
+    return kept(f"{codec.key(picture, quality)} in its own process", work)
 
 
 def each(jobs):
     with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
         return list(pool.map(lambda job: job(), jobs))
-
-
-def mean(values):
-    values = [v for v in values if v is not None]
-    return statistics.fmean(values) if values else float("nan")
-
-
-def number(value, digits):
-    if value != value:
-        return "–"
-    text = f"{value:.{digits}f}"
-    return text.replace("-", "−").replace("−0.", "−.") if text.startswith("-0.") else text.replace("0.", ".", 1) if text.startswith("0.") else text.replace("-", "−")
-
-
-def table(head, rows, left=1):
-    lines = ["| " + " | ".join(head) + " |", "|" + "".join("---|" if i < left else "--:|" for i in range(len(head)))]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-
-
-def at(points, size, key):
-    """Interpolates a measure at a size in bytes between the two nearest files, over the logarithm of the size.
-
-    If the smallest file is larger by less than 1 %, its value is returned, which favours it. Outside the range of sizes,
-    the result is None.
-    """
-    import math
-    points = sorted(points, key=lambda p: p["bytes"])
-    if size < points[0]["bytes"] < 1.01 * size:
-        return points[0][key]
-    for a, b in zip(points, points[1:]):
-        if a["bytes"] <= size <= b["bytes"]:
-            t = math.log(size / a["bytes"]) / math.log(b["bytes"] / a["bytes"]) if b["bytes"] > a["bytes"] else 0
-            return a[key] + t * (b[key] - a[key])
-    return None
 
 
 tables, all_rows = {}, []
@@ -164,8 +112,8 @@ def quality():
         for ratio in RATIOS:
             for tune in ("iq", "psnr"):
                 jobs.append((("ssplat" if tune == "iq" else "ssplat --tune psnr", picture, ratio), lambda p=picture, r=ratio, t=tune: ours(p, ["--ratio", str(r), "--tune", t], 5 if t == "iq" else 0)))
-        for codec, qualities in QUALITIES.items():
-            for q in qualities:
+        for codec in OTHERS:
+            for q in OTHERS[codec].qualities:
                 jobs.append(((codec, picture, q), lambda p=picture, c=codec, q=q: others(p, c, q)))
     results = dict(zip([key for key, _ in jobs], each([job for _, job in jobs])))
     for (codec, picture, setting), row in results.items():
@@ -179,7 +127,7 @@ def quality():
             rows.append([str(ratio), name, f"{mean(r['bytes'] for r in of):.0f}", *(number(mean(r[k] for r in of), d) for k, d in zip(MEASURES, (2, 4, 1, 2))), number(mean(r["encode_s"] for r in of), 1), ""])
         for name, label in (("jpeg", "JPEG"), ("webp", "WebP"), ("jxl", "JPEG XL"), ("avif", "AVIF tune=iq")):
             sizes = [r["bytes"] for r in base]
-            points = [[results[name, p, q] for q in QUALITIES[name]] for p in pictures]
+            points = [[results[name, p, q] for q in OTHERS[name].qualities] for p in pictures]
             found = {k: [at(ps, s, k) for ps, s in zip(points, sizes)] for k in MEASURES}
             if any(v is None for v in found["psnr"]):
                 rows.append([str(ratio), label, "no files of that size", "", "", "", "", "", ""])
@@ -201,7 +149,7 @@ def quality():
     for name in ("ssplat",):
         lines[name] = [(8 * mean(results[name, p, r]["bytes"] for p in pictures) / pixels, mean(results[name, p, r]["ssimulacra2"] for p in pictures)) for r in RATIOS]
     for name, label in (("jpeg", "JPEG"), ("webp", "WebP"), ("avif", "AVIF tune=iq"), ("jxl", "JPEG XL")):
-        lines[label] = [(8 * mean(results[name, p, q]["bytes"] for p in pictures) / pixels, mean(results[name, p, q]["ssimulacra2"] for p in pictures)) for q in QUALITIES[name]]
+        lines[label] = [(8 * mean(results[name, p, q]["bytes"] for p in pictures) / pixels, mean(results[name, p, q]["ssimulacra2"] for p in pictures)) for q in OTHERS[name].qualities]
     for name, label in (("vvc-medium", "VVC"),):
         found = [[today.get((name, p.name, r)) for p in pictures] for r in RATIOS]
         lines[label] = [(8 * mean(r["bytes"] for r in of) / pixels, mean(r["ssimulacra2"] for r in of)) for of in found if all(of)]
@@ -213,38 +161,9 @@ def quality():
     tables["decode"] = table(["ratio", "`ssplat decode` of 768 × 512, CPU ms, the program's start included", "MB at the peak", "MB at the peak of the encode"], ratio_rows, 0)
 
 
-def svg(lines, across, up):
-    """Plots curves over a logarithmic axis. Takes the ends, ticks and label of that axis, and the ends and tick distance
-    of the vertical one."""
-    import math
-    width, height, left, bottom, top, right = 760, 430, 56, 46, 14, 150
-    (low, high, marks, title), (least, most, apart) = across, up
-    px = lambda x: left + (width - left - right) * math.log(x / low) / math.log(high / low)
-    py = lambda y: height - bottom - (height - bottom - top) * (y - least) / (most - least)
-    colors = {"ssplat": "#c2185b", "JPEG": "#9e9e9e", "WebP": "#7cb342", "AVIF tune=iq": "#1565c0", "JPEG XL": "#ff9800", "VVC": "#6a1b9a"}
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="13">', f'<rect width="{width}" height="{height}" fill="white"/>']
-    for y in range(int(least), int(most) + 1, apart):
-        out.append(f'<line x1="{left}" x2="{width - right}" y1="{py(y):.1f}" y2="{py(y):.1f}" stroke="#e0e0e0"/><text x="{left - 8}" y="{py(y) + 4:.1f}" text-anchor="end">{y}</text>')
-    for x in marks:
-        out.append(f'<line x1="{px(x):.1f}" x2="{px(x):.1f}" y1="{top}" y2="{height - bottom}" stroke="#e0e0e0"/><text x="{px(x):.1f}" y="{height - bottom + 18}" text-anchor="middle">{x}</text>')
-    out.append(f'<text x="{(left + width - right) / 2}" y="{height - 8}" text-anchor="middle">{title}</text>')
-    out.append(f'<text transform="translate(14 {(top + height - bottom) / 2}) rotate(-90)" text-anchor="middle">SSIMULACRA2</text>')
-    ends = []
-    for name, line in lines.items():
-        inside = sorted((x, y) for x, y in line if low <= x <= high and y >= least)
-        thick = 3 if name == "ssplat" else 1.6
-        out.append(f'<polyline fill="none" stroke="{colors[name]}" stroke-width="{thick}" points="{" ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in inside)}"/>')
-        out.extend(f'<circle cx="{px(x):.1f}" cy="{py(y):.1f}" r="{thick}" fill="{colors[name]}"/>' for x, y in inside)
-        ends.append(name)
-    for i, name in enumerate(ends):
-        y = top + 16 + 20 * i
-        out.append(f'<line x1="{width - right + 14}" x2="{width - right + 38}" y1="{y}" y2="{y}" stroke="{colors[name]}" stroke-width="{3 if name == "ssplat" else 1.6}"/><text x="{width - right + 44}" y="{y + 4}">{name}</text>')
-    return "\n".join(out + ["</svg>"]) + "\n"
-
-
 def codecs():
     """Measures the other codecs alone, which do not depend on the program."""
-    each([lambda p=p, c=c, q=q: others(p, c, q) for p in pictures for c, qualities in QUALITIES.items() for q in qualities])
+    each([lambda p=p, c=c, q=q: others(p, c, q) for p in pictures for c, codec in OTHERS.items() for q in codec.qualities])
 
 
 def efforts():
@@ -346,14 +265,9 @@ for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", effo
         print(name, "done", flush=True)
 if not tables:
     sys.exit()
-text = page.read_text()
 if only != ["decoders"]:
-    tables["when"] = f"Measured on {time.strftime('%d %B %Y').lstrip('0')} with commit {commit}, on {os.cpu_count()} cores of {next((l.split(':')[1].strip() for l in open('/proc/cpuinfo') if l.startswith('model name')), platform.machine())}."
-for name, made in tables.items():
-    text, count = re.subn(rf"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m: m.group(1) + made + "\n" + m.group(2), text, flags=re.S)
-    if not count:
-        print(f"no place for the table {name} in {page}", file=sys.stderr)
-page.write_text(text)
+    tables["when"] = measured_when(commit)
+write_tables(page, tables)
 if all_rows:
     with open(rows_file, "w", newline="") as file:
         writer = csv.DictWriter(file, ["image", "codec", "setting", "bytes", *MEASURES, "encode_s", "decode_s", "encode_mb", "decode_mb"])

@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
-"""Compares encoders on whole sets of pictures: programs with each other, and with AVIF (tune=iq) at equal bytes.
+"""Compares encoders on whole sets of pictures: programs with each other, and with AVIF (tune=iq), JPEG XL and WebP at
+equal bytes.
 
     python lab/sets.py PICTURES old=target/old/ssplat new=target/release/ssplat
     python lab/sets.py PICTURES new=target/release/ssplat --sets clic --ratios 50,100 --half choose --options "--effort 3"
     python lab/sets.py PICTURES ssplat=target/release/ssplat --shares off,0.1,0.25,0.5,0.75 --table shares.txt
+    python lab/sets.py PICTURES ssplat=target/release/ssplat --half judge --page --efforts 1,3,5,7
 
 PICTURES contains one folder for each set in lab/sets.json. That file divides each set into a half for choosing constants of
 the encoder and a half for evaluating them. A program may have its own options and environment variables: "wide=target/release/ssplat --detail 0.5", "slow=RATE=0.5 target/release/ssplat".
@@ -15,23 +17,28 @@ program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, in
 
 --shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
 the results, from which the constants of src/encode/layer/divide.rs are chosen.
+
+--page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
+XL (effort 7) and WebP (method 6). --efforts adds the table of encoding times. Both need Pillow 12 or newer and the package
+pillow-jxl-plugin.
 """
-import argparse, hashlib, json, math, os, pathlib, shlex, statistics, subprocess, sys, tempfile
+import argparse, hashlib, json, os, pathlib, shlex, tempfile
+
+import set_tables
+from other_codecs import MEASURES, Cache, Files, avif, mean, measured, run
+from set_tables import leads, stem_of
 
 root = pathlib.Path(__file__).resolve().parent.parent
-MEASURES = ["psnr", "ssimulacra2", "butteraugli", "ms_ssim"]
-AVIF_QUALITIES = [4, 8, 12, 16, 20, 25, 30, 36, 42, 48, 54, 60, 66, 72, 78, 84, 90, 95]
-SUBSAMPLINGS = ["4:2:0", "4:4:4"]
 
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pictures", type=pathlib.Path)
     parser.add_argument("programs", nargs="+", metavar="NAME=PROGRAM")
-    parser.add_argument("--sets", default="kodak,cid22,graphics,clic")
+    parser.add_argument("--sets", default=",".join(set_tables.CHART), help="kodak, cid22, graphics, clic or large, separated by commas; by default all but large")
     parser.add_argument("--half", choices=["choose", "judge", "all"], default="all")
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
-    parser.add_argument("--ratios", default="20,50,100,200")
+    parser.add_argument("--ratios", help="by default 20,50,100,200, and those of lab/set_tables.py with --page")
     parser.add_argument("--options", default="", help="further options of every program's encode")
     parser.add_argument("--kind", choices=["rgb", "grey", "alpha", "16"], default="rgb", help="converts the pictures: to grey, to an oval on nothing, or to 16 bits per sample; without AVIF")
     parser.add_argument("--crop", type=int, default=0, help="encode only a square of this side in the middle of each picture")
@@ -42,21 +49,15 @@ def arguments():
     parser.add_argument("--each", action="store_true", help="print every picture")
     parser.add_argument("--shares", default="", help="values of --detail to try, separated by commas")
     parser.add_argument("--table", type=pathlib.Path, help="file to which the table of shares is written")
+    parser.add_argument("--page", action="store_true", help="write the tables of the first program into docs/BENCHMARKS.md, and docs/sets.svg")
+    parser.add_argument("--efforts", default="", help="with --page: efforts of the table of encoding times, separated by commas")
+    parser.add_argument("--commit", help="with --page: the commit of the program; by default that of this folder")
     args = parser.parse_args()
+    if not args.page:
+        args.ratios = args.ratios or "20,50,100,200"
     # The AVIF files of `avif` are RGB with 8 bits.
     args.no_avif |= args.kind != "rgb"
     return args
-
-
-def run(command, variables={}):
-    """Runs a command and returns its output and CPU seconds."""
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        child = subprocess.Popen([str(part) for part in command], stdout=out, stderr=err, env=os.environ | variables)
-        _, status, used = os.wait4(child.pid, 0)
-        out.seek(0), err.seek(0)
-        if status:
-            sys.exit(f"{' '.join(map(str, command))}: {err.read().decode()}")
-        return out.read().decode(), used.ru_utime + used.ru_stime
 
 
 class Lab:
@@ -71,18 +72,9 @@ class Lab:
             program = pathlib.Path(path).resolve()
             self.programs[name] = (program, options, variables, hashlib.sha256(program.read_bytes()).hexdigest()[:16])
         self.measure = next(iter(self.programs.values()))[0]
-        args.cache.mkdir(parents=True, exist_ok=True)
+        self.cache = Cache(args.cache)
         (args.cache / "pixels").mkdir(exist_ok=True)
-
-    def kept(self, name, work):
-        """Returns the result of `work`, from the cache if it is there."""
-        path = self.args.cache / (hashlib.sha256(name.encode()).hexdigest()[:24] + ".json")
-        if not path.exists():
-            made = work()
-            part = path.with_suffix(f".{os.getpid()}")
-            part.write_text(json.dumps(made))
-            part.rename(path)
-        return json.loads(path.read_text())
+        self.files = Files(self.cache, self.measure)
 
     def pictures(self, name):
         """Returns the pictures of a set, without metadata."""
@@ -121,10 +113,6 @@ class Lab:
             part.rename(copy)
         return copy
 
-    def compared(self, original, made):
-        found = json.loads(run([self.measure, "--threads", "1", "compare", original, made, "--json"])[0])
-        return {key: found[key] for key in MEASURES}
-
     def ours(self, name, picture, ratio, more=()):
         program, own, variables, build = self.programs[name]
         options = ["--ratio", str(ratio), *own, *shlex.split(self.args.options), *more]
@@ -134,70 +122,8 @@ class Lab:
                 file = pathlib.Path(folder, "a.ssplat")
                 command = [program, "--threads", "1", "encode", picture, file, "--quiet", "--force", *options]
                 seconds = min(run(command, variables)[1] for _ in range(self.args.repeat))
-                return {"bytes": file.stat().st_size, "seconds": seconds} | self.compared(picture, file)
-        return self.kept(f"{build} {variables or ''} {picture.name} {options}", work)
-
-    def avif(self, picture, ratios):
-        """Returns AVIF files with sizes around these ratios, by subsampling."""
-        from PIL import Image
-        speed = self.args.avif_speed
-        image = Image.open(picture)
-        raw = image.width * image.height * 3
-        found = {}
-        for subsampling in SUBSAMPLINGS:
-            def encode(quality, file):
-                options = {"speed": speed, "max_threads": 1, "subsampling": subsampling, "advanced": {"tune": "iq"}}
-                image.save(file, "AVIF", quality=quality, **options)
-
-            def sizes():
-                with tempfile.TemporaryDirectory() as folder:
-                    file, sizes = pathlib.Path(folder, "a.avif"), {}
-                    for quality in AVIF_QUALITIES:
-                        encode(quality, file)
-                        sizes[quality] = file.stat().st_size
-                        if sizes[quality] > raw / 15:
-                            break
-                    return sizes
-            key = f"avif {picture.name} {subsampling} {speed}"
-            ladder = sorted((size, int(quality)) for quality, size in self.kept(key + " sizes", sizes).items())
-            wanted = set()
-            for ratio in ratios:
-                size = raw / ratio
-                wanted |= {max((p for p in ladder if p[0] <= size), default=ladder[0]), min((p for p in ladder if p[0] >= size), default=ladder[-1])}
-                # The files of ssplat are slightly smaller than the ratio allows.
-                wanted |= {max((p for p in ladder if p[0] <= .97 * size), default=ladder[0])}
-            points = []
-            for _, quality in sorted(wanted):
-                def point():
-                    with tempfile.TemporaryDirectory() as folder:
-                        file, back = pathlib.Path(folder, "a.avif"), pathlib.Path(folder, "a.png")
-                        encode(quality, file)
-                        Image.open(file).convert("RGB").save(back, compress_level=1)
-                        return {"bytes": file.stat().st_size} | self.compared(picture, back)
-                points.append(self.kept(f"{key} {quality}", point))
-            found[subsampling] = points
-        return found
-
-
-def at(points, size, key):
-    """Interpolates a measure at a size between the two nearest files, over the logarithm of the size. Returns `None` outside."""
-    points = sorted(points, key=lambda p: p["bytes"])
-    for a, b in zip(points, points[1:]):
-        if a["bytes"] <= size <= b["bytes"]:
-            t = math.log(size / a["bytes"]) / math.log(b["bytes"] / a["bytes"]) if b["bytes"] > a["bytes"] else 0
-            return a[key] + t * (b[key] - a[key])
-    return None
-
-
-def best_avif(avif, size):
-    """Returns the measures of the better of both subsamplings at a size."""
-    found = [{key: at(points, size, key) for key in MEASURES} for points in avif.values()]
-    found = [f for f in found if f["ssimulacra2"] is not None]
-    return max(found, key=lambda f: f["ssimulacra2"], default=None)
-
-
-def mean(values):
-    return statistics.fmean(values) if values else float("nan")
+                return {"bytes": file.stat().st_size, "seconds": seconds} | measured(self.measure, picture, file)
+        return self.cache.kept(f"{build} {variables or ''} {picture.name} {options}", work)
 
 
 def compare(lab):
@@ -209,8 +135,8 @@ def compare(lab):
             rows = []
             for picture in lab.pictures(set_name):
                 row = {name: lab.ours(name, picture, ratio) for name in names}
-                avif = None if args.no_avif else lab.avif(picture, [float(ratio)])
-                rows.append((picture.stem.split("-", 1)[1], row, avif))
+                best = {} if args.no_avif else {name: lab.files.best(picture, avif(args.avif_speed), row[name]["bytes"]) for name in names}
+                rows.append((stem_of(picture), row, best))
             for name in names:
                 of = [row[name] for _, row, _ in rows]
                 means = {key: mean([r[key] for r in of]) for key in ["bytes", *MEASURES, "seconds"]}
@@ -221,19 +147,17 @@ def compare(lab):
                     worst = min(gains)
                     line += f" | {means['psnr'] - first['psnr']:+.3f} {mean([g for g, _ in gains]):+.2f} ({worst[0]:+.1f} {worst[1][:14]}) {means['butteraugli'] - first['butteraugli']:+.3f} {means['seconds'] / first['seconds']:.2f}"
                 if not args.no_avif:
-                    leads = []
-                    for stem, row, avif in rows:
-                        best = best_avif(avif, row[name]["bytes"])
-                        if best:
-                            leads.append((row[name]["ssimulacra2"] - best["ssimulacra2"], stem, row[name]["butteraugli"] - best["butteraugli"], row[name]["ms_ssim"] - best["ms_ssim"]))
-                    if leads:
-                        line += f" | AVIF {mean([l[0] for l in leads]):+.2f} ({len(leads)}, {sum(l[0] > 0 for l in leads)} ahead, {min(leads)[0]:+.1f} {min(leads)[1][:14]}) {mean([l[2] for l in leads]):+.3f} {mean([l[3] for l in leads]):+.4f}"
+                    ahead = leads([(stem, row[name], best[name]) for stem, row, best in rows])
+                    if ahead:
+                        over = {key: mean([lead[key] for _, lead in ahead]) for key in MEASURES}
+                        worst = min(ahead, key=lambda lead: lead[1]["ssimulacra2"])
+                        line += f" | AVIF {over['ssimulacra2']:+.2f} ({len(ahead)}, {sum(lead['ssimulacra2'] > 0 for _, lead in ahead)} ahead, {worst[1]['ssimulacra2']:+.1f} {worst[0][:14]}) {over['butteraugli']:+.3f} {over['ms_ssim']:+.4f}"
                 print(line, flush=True)
             if args.each:
-                for stem, row, avif in rows:
+                for stem, row, best in rows:
                     text = [f"{name} {row[name]['psnr']:.2f}/{row[name]['ssimulacra2']:.1f}" for name in names]
-                    best = None if args.no_avif else best_avif(avif, row[names[-1]]["bytes"])
-                    text += [f"AVIF {best['psnr']:.2f}/{best['ssimulacra2']:.1f}"] if best else []
+                    last = best.get(names[-1])
+                    text += [f"AVIF {last['psnr']:.2f}/{last['ssimulacra2']:.1f}"] if last else []
                     print(f"    {stem[:18]:18} " + "  ".join(text), flush=True)
 
 
@@ -249,7 +173,7 @@ def shares(lab):
                 best = max(tried, key=lambda share: tried[share]["ssimulacra2"])
                 short.append(tried[best]["ssimulacra2"] - auto["ssimulacra2"])
                 text = " ".join(f"{share}:{made['psnr']:.2f}/{made['ssimulacra2']:.1f}" for share, made in {"auto": auto, **tried}.items())
-                lines.append(f"{set_name} {ratio} {picture.stem.split('-', 1)[1][:18]:18} {text} | best {best} {short[-1]:+.1f}")
+                lines.append(f"{set_name} {ratio} {stem_of(picture)[:18]:18} {text} | best {best} {short[-1]:+.1f}")
                 print(lines[-1], flush=True)
             lines.append(f"{set_name} {ratio} mean: the best share has {mean(short):+.2f} over auto, {max(short):+.1f} at most")
             print(lines[-1], flush=True)
@@ -259,4 +183,9 @@ def shares(lab):
 
 if __name__ == "__main__":
     lab = Lab(arguments())
-    shares(lab) if lab.args.shares else compare(lab)
+    if lab.args.page:
+        set_tables.write(lab, root)
+    elif lab.args.shares:
+        shares(lab)
+    else:
+        compare(lab)
