@@ -16,7 +16,7 @@ interrupted command can be continued. For each set and ratio, the command prints
 program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, interpolated to its bytes.
 
 --shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
-the results, from which the constants of src/encode/layer/divide.rs are chosen.
+the results. lab/fit_division.py fits the constants of src/encode/layer/division.rs.
 
 --page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
 XL (effort 7) and WebP (method 6). --efforts adds the table of encoding times. Both need Pillow 12 or newer and the package
