@@ -4,7 +4,9 @@
 use std::path::Path;
 
 fn main() {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    // Not `env!`: a package that is unpacked into another folder may reuse this program.
+    let here = std::env::var_os("CARGO_MANIFEST_DIR").expect("set by cargo");
+    let here = Path::new(&here);
     let web = ["web", "../web"].map(|name| here.join(name)).into_iter().find(|folder| folder.join("viewer").is_dir());
     let web = web.expect("the viewer's files in web or ../web");
     println!("cargo::rustc-env=SSPLAT_WEB={}", web.display());

@@ -137,6 +137,11 @@ pub(crate) fn check_alpha(head: &DetailHead, channels: Channels) -> Result<(), B
     Ok(())
 }
 
+/// Returns the bytes that these parameters take in the section, up to those that all layers take.
+pub(crate) fn parameter_bytes(head: &DetailHead) -> u64 {
+    contents(head, Spans { payload: 0, checksum: 0 }).len() as u64
+}
+
 /// Returns the contents of the section in their shortest form.
 pub(crate) fn contents(head: &DetailHead, spans: Spans) -> Vec<u8> {
     [(DetailHead::PLAIN, 0), (DetailHead::SEEN, PRESET)]

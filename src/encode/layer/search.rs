@@ -8,13 +8,15 @@ use super::in_steps::{KEPT_TILES, KeptBase};
 use super::residual::TileResidual;
 use super::slopes::Slopes;
 use crate::bitstream::detail::DetailLayer;
+use crate::bitstream::detail::head::parameter_bytes;
 use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
 use crate::detail::steps::PlaneSteps;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// A layer and the bytes that its index and streams take in the file.
+/// A layer and the bytes that its index and streams take in the file, and what its parameters take beyond those of the
+/// settings.
 #[derive(Debug, Clone)]
 pub(super) struct Coded {
     pub layer: DetailLayer,
@@ -209,7 +211,9 @@ pub(super) fn code(
         0 => 1,
         bytes => bytes + 2 + u64::from((bytes.ilog2()) / 7 + 1),
     };
-    let bytes = chosen.iter().map(|tile| length(&tile.stream)).sum();
+    // The budget was computed with the parameters of `settings`. Those that depend on the step may take more bytes.
+    let more = parameter_bytes(&coding.head).saturating_sub(parameter_bytes(&settings.coding.head));
+    let bytes = more + chosen.iter().map(|tile| length(&tile.stream)).sum::<u64>();
     let (mut levels, mut sizes) = (Vec::new(), Vec::new());
     for tile in chosen {
         levels.push(tile.levels);
