@@ -5,13 +5,13 @@
     python lab/fit_division.py PICTURES target/release/ssplat
     python lab/fit_division.py PICTURES target/release/ssplat --sets kodak --ratios 100 --table division.txt
 
-PICTURES contains one folder for each set in lab/sets.json. Each picture is encoded at each ratio without a layer and with
-several sizes of the base: factors on the size that the rule gives to a picture without fine texture. The scores
-(SSIMULACRA2) between these factors are interpolated. The command then finds the values of FINE_BASE, FINE_BASE_FALL and
-MIN_FINE_BASE in src/encode/layer/division.rs with which the photographs of the halves for choosing lose least against the
-best of what was tried, and prints them beside the present ones, with the loss on both halves. --table writes what each
-picture would have had. Encodes are cached, so that an interrupted command can be continued. The default needs about 1200
-encodes.
+PICTURES contains one folder for each set in lab/sets.json. Each picture is encoded at each ratio without a layer and
+with several sizes of the base: factors on the size that the rule gives to a picture without fine texture. The scores
+(SSIMULACRA2) between these factors are interpolated. The command then finds the values of FINE_BASE, FINE_BASE_FALL
+and MIN_FINE_BASE in src/encode/layer/division.rs with which the photographs of the halves for choosing lose least
+against the best of what was tried (without the minimum share of large, busy photographs), and prints them beside the
+present ones, with the loss on both halves. --table writes what each picture would have had. Encodes are cached, so
+that an interrupted command can be continued. The default needs about 1200 encodes.
 """
 import argparse, itertools, json, math, pathlib, re, subprocess, sys
 
@@ -20,7 +20,6 @@ from other_codecs import mean
 
 root = pathlib.Path(__file__).resolve().parent.parent
 FACTORS = [0.35, 0.5, 0.7, 1.0, 1.4]
-MAX_SHARE = 0.9
 
 
 def arguments():
@@ -37,9 +36,9 @@ def arguments():
 
 def constants():
     """Returns the constants of the rule, by name."""
-    text = (root / "src/encode/layer/division.rs").read_text()
-    found = re.findall(r"const (\w+): (?:f64|\[f64; \d\]) = \[?([^;\]]+)\]?;", text)
-    values = {name: [float(v) for v in value.replace("_", "").split(",") if v.strip()] for name, value in found if re.fullmatch(r"[\d_., /]+", value) and "/" not in value}
+    text = "".join((root / "src/encode/layer" / name).read_text() for name in ["division.rs", "texture.rs"])
+    found = re.findall(r"const (\w+): (?:f64|\[f64; \d\]) = \[?([\d_., ]+)\]?;", text)
+    values = {name: [float(v) for v in value.replace("_", "").split(",")] for name, value in found}
     return {name: value[0] if len(value) == 1 else value for name, value in values.items()}
 
 
@@ -91,7 +90,7 @@ def measured(args, c):
             texture = json.loads(subprocess.run([example, picture], capture_output=True, text=True, check=True).stdout)
             pixels = texture["width"] * texture["height"]
             for ratio in map(float, args.ratios.split(",")):
-                shares = {f: round(min(MAX_SHARE, f * usual_bytes(pixels, ratio, c) * ratio / (3 * pixels)), 4) for f in FACTORS}
+                shares = {f: round(min(c["MAX_BASE_SHARE"], f * usual_bytes(pixels, ratio, c) * ratio / (3 * pixels)), 4) for f in FACTORS}
                 tried = {f: lab.ours("ssplat", picture, f"{ratio:g}", ["--detail", str(share)])["ssimulacra2"] for f, share in shares.items()}
                 tried["off"] = lab.ours("ssplat", picture, f"{ratio:g}", ["--detail", "off"])["ssimulacra2"]
                 rows.append({"set": set_name, "half": half, "picture": picture.stem, "ratio": ratio, "tried": tried} | texture)
@@ -104,7 +103,7 @@ def main():
     present = constants()
     rows = measured(args, present)
     # Drawings have a rule of their own.
-    photographs = [row for row in rows if row["flat"] <= 0.3]
+    photographs = [row for row in rows if row["flat"] <= present["DRAWING"]]
     chosen_on = [row for row in photographs if row["half"] == "choose"]
     names = ["FINE_BASE", "FINE_BASE_FALL", "MIN_FINE_BASE"]
     grid = itertools.product([k / 20 for k in range(4, 25)], [k / 10 for k in range(1, 31)], [k / 20 for k in range(7, 20)])

@@ -48,10 +48,10 @@ impl WholeSession<'_> {
         }
     }
 
-    /// Fits about `count` primitives and rounds them to a file of the requested size. Both exclude the channels that are
-    /// left out.
-    pub(super) fn fitted(&mut self, count: usize, request: &FitRequest) -> Result<Outcome> {
-        let &FitRequest { size, time, under_layer, ref initial } = request;
+    /// Fits about `count` primitives and rounds them to a file of `size`, which is that of `request` or smaller, to leave
+    /// room for channels that are left out. Both exclude these channels.
+    pub(super) fn fitted(&mut self, count: usize, size: Size, request: &FitRequest) -> Result<Outcome> {
+        let &FitRequest { time, under_layer, ref initial, .. } = request;
         self.weigh(count);
         let (input, planes) = (self.input, &self.planes);
         let options = input.options;

@@ -1,5 +1,6 @@
 //! Encodes a picture as a whole.
 
+use std::cell::OnceCell;
 use std::time::Duration;
 
 use super::channels::{Narrow, narrow};
@@ -9,6 +10,7 @@ use super::device::Choice;
 use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
 use super::layer::error::stored_error;
+use super::layer::texture::Texture;
 use super::pipeline::run;
 use super::rate_control;
 use super::report::ReportBuilder;
@@ -39,6 +41,8 @@ pub(super) struct WholeSession<'a> {
     pub device: Choice,
     /// Gaussians under a detail layer from an earlier try of a search.
     pub kept: Option<KeptBase>,
+    /// The texture of the picture, once it is measured.
+    pub texture: OnceCell<Option<Texture>>,
     pub report: ReportBuilder<'a>,
 }
 
@@ -68,6 +72,7 @@ pub(super) fn encode(
         planes: Planes::with_hidden(fitted, options.hidden),
         clock,
         kept: None,
+        texture: OnceCell::new(),
         device,
         report,
     })
@@ -188,7 +193,7 @@ impl WholeSession<'_> {
                 Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
                 Size::Free => Size::Free,
             };
-            let mut outcome = self.fitted(count, &FitRequest { size: narrow, ..request.clone() })?;
+            let mut outcome = self.fitted(count, narrow, request)?;
             if !self.fits_all_channels() {
                 outcome.bytes = self.file(&outcome.splats)?;
             }

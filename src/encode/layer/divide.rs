@@ -94,7 +94,12 @@ impl WholeSession<'_> {
 
     /// Returns the texture of the picture if the division of the bytes depends on it.
     fn texture(&self) -> Option<Texture> {
-        if self.input.options.favoured() == Tune::Iq { Texture::of(&self.planes) } else { None }
+        if self.input.options.favoured() == Tune::Iq { self.measured_texture() } else { None }
+    }
+
+    /// Returns the texture of the picture, which is measured once.
+    pub(super) fn measured_texture(&self) -> Option<Texture> {
+        *self.texture.get_or_init(|| Texture::of(&self.planes))
     }
 
     /// Returns the number of rounds in which the Gaussians' integers are optimized under the layer.

@@ -129,12 +129,16 @@ fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
         .min(MAX_BASE_SHARE * all)
 }
 
+/// Returns 0 up to `from`, 1 from `to` on, and values in proportion between them.
+fn ramp(value: f64, [from, to]: [f64; 2]) -> f64 {
+    ((value - from) / (to - from)).clamp(0.0, 1.0)
+}
+
 /// Returns the factor on the byte budget of the Gaussians that suits the texture of a picture. Gaussians represent fine
 /// texture poorly.
 fn base_factor(texture: Texture, ratio: f64) -> f64 {
     if texture.is_drawing() {
-        let [from, to] = BUSY_DRAWING;
-        return 1.0 + (MAX_DRAWING_BASE - 1.0) * ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
+        return 1.0 + (MAX_DRAWING_BASE - 1.0) * ramp(texture.activity, BUSY_DRAWING);
     }
     let [from, to] = FINE_BASE_RATIOS;
     let strength = ((ratio / from).strict_ln() / (to / from).strict_ln()).clamp(0.0, 1.0);
@@ -144,14 +148,12 @@ fn base_factor(texture: Texture, ratio: f64) -> f64 {
 
 /// Returns the factor on the iterations of a fit under a layer that suits the texture of a picture.
 pub(super) fn patience(texture: Texture) -> f32 {
-    let [from, to] = PATIENT_FLAT;
-    1.0 + (MAX_PATIENCE - 1.0) * ((texture.flat - from) / (to - from)).clamp(0.0, 1.0) as f32
+    1.0 + (MAX_PATIENCE - 1.0) * ramp(texture.flat, PATIENT_FLAT) as f32
 }
 
 /// Returns the minimum share of the bytes for the Gaussians of a picture with this texture, size and ratio.
 fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
-    let [from, to] = BUSY;
-    let busy = ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
+    let busy = ramp(texture.activity, BUSY);
     let large = ((pixels as f64 / REFERENCE_PIXELS).strict_ln() / BUSY_SIZE).clamp(0.0, 1.0);
     BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }

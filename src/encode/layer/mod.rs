@@ -40,7 +40,6 @@ use parts::Parts;
 use residual::TileResidual;
 use search::{Closeness, Coded, SearchSettings, search};
 use slopes::{Knot, Slopes};
-use texture::Texture;
 
 /// Maximum number of coder runs in a search.
 const RUNS: u32 = 7;
@@ -236,7 +235,7 @@ impl WholeSession<'_> {
             Some(near) => near.layer.head.sizes == for_drawing(settings, Tune::Psnr).coding.head.sizes,
             None => {
                 let bits = 8.0 * bytes as f64 / self.pixels() as f64;
-                bits >= DRAWING_BITS && Texture::of(&self.planes).is_some_and(|texture| texture.is_drawing())
+                bits >= DRAWING_BITS && self.measured_texture().is_some_and(|texture| texture.is_drawing())
             }
         };
         if is_drawing {
@@ -278,8 +277,7 @@ pub(super) fn layered_in_parts<'a, S: EncodeSession<'a>>(
 fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSettings {
     let Preset { mut head, lambda, power, slopes } = preset(tune);
     head.alpha = has_alpha;
-    let step = head.step;
-    slopes.set_step(&mut head, step);
+    slopes.apply(&mut head);
     // For pure squared error, the rough estimate loses 0.1 dB.
     let blocks = if tune == Tune::Psnr { BlockChoice::Priced } else { BlockChoice::Rough };
     let level_search = if tune == Tune::Psnr { LevelSearch::Exhaustive } else { LevelSearch::Thorough };
@@ -303,8 +301,7 @@ fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     if tune == Tune::Iq {
         settings.power = DRAWING_POWER;
         settings.slopes = DRAWING_SLOPES;
-        let step = settings.coding.head.step;
-        settings.slopes.set_step(&mut settings.coding.head, step);
+        settings.slopes.apply(&mut settings.coding.head);
     }
     settings
 }

@@ -7,16 +7,15 @@ use super::coefficients::{self, Division};
 use super::in_steps::{KEPT_TILES, KeptBase};
 use super::residual::TileResidual;
 use super::slopes::Slopes;
-use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::head::parameter_bytes;
 use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
+use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::detail::steps::PlaneSteps;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// A layer and the bytes that its index and streams take in the file, and what its parameters take beyond those of the
-/// settings.
+/// A layer and the bytes that its index and streams take in the file.
 #[derive(Debug, Clone)]
 pub(super) struct Coded {
     pub layer: DetailLayer,
@@ -47,8 +46,15 @@ impl SearchSettings {
     /// Returns the settings of a layer with this step.
     pub(super) fn setting_at(&self, step: u16) -> Setting {
         let mut coding = self.coding;
-        self.slopes.set_step(&mut coding.head, step);
+        coding.head.step = step;
+        self.slopes.apply(&mut coding.head);
         coding
+    }
+
+    /// Returns the bytes that the parameters of a layer take beyond those of these settings, with which the budget was
+    /// computed. Parameters that depend on the step may take more.
+    fn more_parameter_bytes(&self, head: &DetailHead) -> u64 {
+        parameter_bytes(head).saturating_sub(parameter_bytes(&self.coding.head))
     }
 }
 
@@ -112,8 +118,9 @@ pub(super) fn smallest_step<E>(
         i += 1;
         let rounded = step.round().clamp(1.0, 65_535.0);
         let coded = run(rounded as u16)?;
-        let at = [rounded.strict_ln(), (coded.bytes as f64).max(1.0).strict_ln()];
-        let short = settings.max_bytes as f64 - coded.bytes as f64;
+        let bytes = coded.bytes + settings.more_parameter_bytes(&coded.layer.head);
+        let at = [rounded.strict_ln(), (bytes as f64).max(1.0).strict_ln()];
+        let short = settings.max_bytes as f64 - bytes as f64;
         if short >= 0.0 {
             under = Some(at);
             if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
@@ -211,9 +218,7 @@ pub(super) fn code(
         0 => 1,
         bytes => bytes + 2 + u64::from((bytes.ilog2()) / 7 + 1),
     };
-    // The budget was computed with the parameters of `settings`. Those that depend on the step may take more bytes.
-    let more = parameter_bytes(&coding.head).saturating_sub(parameter_bytes(&settings.coding.head));
-    let bytes = more + chosen.iter().map(|tile| length(&tile.stream)).sum::<u64>();
+    let bytes = chosen.iter().map(|tile| length(&tile.stream)).sum();
     let (mut levels, mut sizes) = (Vec::new(), Vec::new());
     for tile in chosen {
         levels.push(tile.levels);
@@ -232,8 +237,8 @@ fn guess(tiles: &[TileResidual], settings: &SearchSettings) -> f64 {
     /// Step in which the coefficients are measured.
     const UNIT: u16 = 1024;
     let mut head = settings.coding.head;
-    settings.slopes.set_step(&mut head, UNIT);
-    head.classes = 1;
+    (head.step, head.classes) = (UNIT, 1);
+    settings.slopes.apply(&mut head);
     let bins = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let mut bins = vec![0u32; BINS];

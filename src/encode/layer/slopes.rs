@@ -20,10 +20,10 @@ pub(super) struct Knot {
 pub(super) struct Slopes(pub &'static [Knot]);
 
 impl Slopes {
-    /// Sets the step of a layer, and the slopes and the steps of chroma that belong to it.
-    pub(super) fn set_step(self, head: &mut DetailHead, step: u16) {
-        let Knot { slopes, chroma, .. } = self.at(step);
-        (head.step, head.slopes, head.chroma) = (step, slopes, chroma);
+    /// Sets the slopes and the steps of chroma that belong to the step of `head`.
+    pub(super) fn apply(self, head: &mut DetailHead) {
+        let Knot { slopes, chroma, .. } = self.at(head.step);
+        (head.slopes, head.chroma) = (slopes, chroma);
     }
 
     /// Returns the knot at `step`.
@@ -53,8 +53,8 @@ mod tests {
         ];
         let all = Slopes(KNOTS);
         let of = |slopes: Slopes, step| {
-            let mut head = DetailHead::PLAIN;
-            slopes.set_step(&mut head, step);
+            let mut head = DetailHead { step, ..DetailHead::PLAIN };
+            slopes.apply(&mut head);
             assert_eq!(head.step, step);
             (head.slopes, head.chroma)
         };
