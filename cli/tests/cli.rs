@@ -600,7 +600,11 @@ fn on_a_terminal(args: &[&dyn AsRef<OsStr>]) -> String {
         }
         String::from_utf8(said).unwrap()
     });
-    let mut child = command(args).stdout(Stdio::null()).stderr(Stdio::from(slave)).spawn().unwrap();
+    // Without this variable, terminals count as unable to draw a bar.
+    let mut terminal = command(args);
+    let mut child = terminal.env("TERM", "xterm").stdout(Stdio::null()).stderr(Stdio::from(slave)).spawn().unwrap();
+    // The command holds the other side of the terminal too.
+    drop(terminal);
     assert!(child.wait().unwrap().success());
     reader.join().unwrap()
 }
