@@ -154,9 +154,8 @@ impl Task for Reconstruct<'_> {
         for row in 0..=down {
             if row < down {
                 for (strips, filled) in scratch.strips.iter_mut().zip(filled) {
-                    for x in filled.row(row) {
+                    if filled.row(row).next().is_some() {
                         make(&mut strips[row % 2], SUPER * PITCH);
-                        clear(&mut strips[row % 2][x * SUPER..]);
                     }
                 }
                 blocks.transform(row, &mut edges, scratch);
@@ -247,14 +246,20 @@ fn finish(
     for x in out.filled.row(row) {
         // A plane without levels has one row of zeros.
         let mut from: [(&[i32], usize); PLANES] = [(&NOTHING, 0); PLANES];
-        for plane in 0..PLANES {
+        for (plane, strips) in scratch.strips.iter().enumerate() {
             if filled[plane].has([x, row]) {
-                from[plane] = (&scratch.strips[plane][row % 2][x * SUPER..], PITCH);
+                from[plane] = (&strips[row % 2][x * SUPER..], PITCH);
             }
         }
         for k in 0..STRIPS {
             let from = from.map(|(samples, pitch)| (&samples[k * LANES..], pitch));
             mix(from, &mut out.channels, (x * STRIPS + k) * ROOM + row * SUPER);
+        }
+        // The superblock is in the cache now.
+        for (strips, filled) in scratch.strips.iter_mut().zip(filled) {
+            if filled.has([x, row]) {
+                clear(&mut strips[row % 2][x * SUPER..]);
+            }
         }
     }
 }
