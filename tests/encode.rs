@@ -302,6 +302,19 @@ fn a_time_budget_covers_all_tries() {
 }
 
 #[test]
+fn the_report_tells_which_effort_a_time_limit_allowed() {
+    let pixels = picture(300, 40, Channels::Rgb);
+    for tiles in [None, Some(256)] {
+        let mut options = quick(Target::Bytes(300));
+        (options.effort, options.tiles) = (3, tiles);
+        for (time, effort) in [(Some(Duration::ZERO), 1), (Some(Duration::from_secs(3600)), 3), (None, 3)] {
+            options.time = time;
+            assert_eq!(encode(&pixels, &options).unwrap().report.effort, effort, "{time:?}");
+        }
+    }
+}
+
+#[test]
 fn an_infinite_time_budget_is_no_budget() {
     let pixels = picture(40, 30, Channels::Rgb);
     let mut options = quick(Target::Bytes(300));

@@ -338,14 +338,15 @@ fn psnr(psnr: f64) -> String {
 fn result_line(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
     let quality = encoded.report.quality.map_or(String::new(), |q| format!(", SSIMULACRA2 {q:.1}"));
     let line = format!(
-        "{}: {} bytes, ratio {:.1}, {} primitive{}, {}{quality}, encoded in {:.2} s\n",
+        "{}: {} bytes, ratio {:.1}, {} primitive{}, {}{quality}, encoded in {:.2} s at effort {}\n",
         output.display(),
         encoded.bytes.len(),
         ratio(picture, encoded.bytes.len()),
         encoded.report.primitives,
         if encoded.report.primitives == 1 { "" } else { "s" },
         psnr(encoded.report.psnr),
-        encoded.report.seconds
+        encoded.report.seconds,
+        encoded.report.effort
     );
     // Only a build with GPU support has a choice of devices.
     if cfg!(feature = "gpu") { line + &format!("fitted on {}\n", encoded.report.chosen) } else { line }
@@ -424,6 +425,7 @@ fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Val
         "float_psnr": report.float_psnr.min(compare::IDENTICAL),
         "psnr": report.psnr.min(compare::IDENTICAL),
         "quality": report.quality,
+        "effort": report.effort,
         "seconds": report.seconds,
         "stages": stages,
         "left_out": left_out,

@@ -90,8 +90,11 @@ impl Encoder {
         self
     }
 
-    /// Sets the time limit of a whole encode, wall clock, however many fits the target takes. The best state reached is
-    /// written. By default there is no limit.
+    /// Sets the time limit of a whole encode, wall clock, however many fits the target takes. If it is too short for
+    /// [`effort`](Self::effort), the encoder uses a lower effort, which [`EncodeReport::effort`](super::EncodeReport::effort) reports, and writes the
+    /// best state reached. A large picture takes longer than a very short limit, because its layer is always coded to the
+    /// end. By default there is no limit.
+    ///
     /// In tiles, every stage visits each tile at least once, so an encode in small tiles can take several times as long.
     #[must_use]
     pub fn time(mut self, time: Duration) -> Self {

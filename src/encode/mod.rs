@@ -24,6 +24,7 @@ mod session;
 mod skipped;
 mod thumbnail;
 mod tiles;
+mod timed_effort;
 mod trace;
 #[cfg(feature = "quality-hook")]
 mod trim;
@@ -74,6 +75,9 @@ pub struct Encoded {
 pub struct EncodeReport {
     /// Number of primitives in the file.
     pub primitives: usize,
+    /// Effort of the encode, 1 to 9: the requested one, or a lower one if the time limit is too short for it. It is 0 if
+    /// the Gaussians were given.
+    pub effort: u8,
     /// PSNR of the stored picture against the source in dB, before rounding to code values. It is infinite if they are
     /// equal.
     pub psnr: f64,
@@ -132,6 +136,8 @@ fn encode_by(
             problem: "it applies to given Gaussians only".into(),
         });
     }
+    let effort = timed_effort::affordable(source.size(), options);
+    let options = &EncodeOptions { effort, ..options.clone() };
     match (side(source, options), source.as_pixels()) {
         (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))

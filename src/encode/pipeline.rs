@@ -16,10 +16,11 @@ pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     // in the same proportion as in the file.
     let weight = if session.fits_all_channels() { 1.0 } else { error / session.fitted_error(&outcome.splats)? };
     let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
-    let (samples, chosen) = (session.samples(), session.chosen());
+    let (samples, chosen, effort) = (session.samples(), session.chosen(), session.options().effort);
     let report = session.report();
     let report = EncodeReport {
         primitives: outcome.splats.gaussians.len(),
+        effort,
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
         quality: outcome.quality,

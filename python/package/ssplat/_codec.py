@@ -67,7 +67,8 @@ def encode(
             medium, high and very high quality are about 30, 50, 70 and 90. The search takes up to six tries. A
             QualityWarning is issued if the score is not reached. At most one of these five targets may be given.
         effort: 1 to 9.
-        time: wall-clock budget, seconds. When it runs out, the best state so far is written.
+        time: wall-clock budget, seconds. If it is too short for ``effort``, a lower effort is used. When it runs out, the
+            best state so far is written.
         progress: callback that receives the name of a stage and the fraction of it that is done, 0 to 1. It is called
             in this thread. It stops the encode by raising an exception, or by returning False, which raises a
             CancelledError.
