@@ -31,7 +31,7 @@ const MIN_GAIN: f64 = 0.22;
 /// other ratios.
 const MEASURED_LAYER: f64 = 1.9;
 /// Fraction of a time budget for the Gaussians.
-pub(in crate::encode) const BASE_TIME: f64 = 0.6;
+pub(in crate::encode) const BASE_TIME: f64 = 0.72;
 /// Maximum factor by which these Gaussians may exceed their byte budget.
 const MAX_OVERSHOOT: f64 = 1.1;
 
