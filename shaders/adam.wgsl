@@ -10,7 +10,7 @@
 @compute @workgroup_size(64)
 fn adam(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = group_index(group, groups) * 64u + local;
-    if (i >= scene.primitives || status[1] != 0u) { return; }
+    if (i >= scene.primitives - scene.frozen || status[1] != 0u) { return; }
     let n = scene.primitives;
     let p = 9u * i;
     let s1 = exp(primitives[p + 2u]);

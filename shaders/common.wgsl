@@ -71,8 +71,8 @@ struct Scene {
     weighted: u32,
     // 1: a detail layer adds to the pixels.
     detail: u32,
-    // Padding to a multiple of 16 bytes.
-    spare: u32,
+    // Number of primitives at the end of the list that do not move.
+    frozen: u32,
 }
 
 // A Gaussian on the grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is amplitude ·

@@ -6,6 +6,7 @@
 mod adapter;
 mod scenes;
 mod synthetic;
+mod waves;
 
 use scenes::{codes, scene};
 use ssplat::View;
@@ -15,8 +16,8 @@ use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
-    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits, Parameter,
-    Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
+    Backend, Blend, Channels, Damage, Depth, Detail, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits,
+    Parameter, Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -39,6 +40,7 @@ fn main() {
         ("hardware_only_never_opens_software", hardware_only),
         ("a_lost_device_is_a_typed_error", lost),
         ("an_encoder_asked_for_the_gpu_uses_it_or_fails", encoder),
+        ("tiles_are_fitted_on_the_gpu_as_well_as_on_the_cpu", tiles),
     ]);
 }
 
@@ -63,6 +65,26 @@ fn encoder(device: &Device) {
     options.recipe = Recipe::SmartSplat(Default::default());
     let refused = ssplat::unstable::encode(&pixels, &options);
     assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
+}
+
+fn tiles(device: &Device) {
+    let pixels = waves::picture(300, 140, Channels::Rgb);
+    for (target, detail) in [(Target::Bytes(700), Detail::Off), (Target::Bytes(1500), Detail::Share(0.5))] {
+        let mut options = EncodeOptions::default();
+        (options.target, options.effort, options.tiles, options.detail) = (target, 1, Some(128), detail);
+        let [gpu, again, cpu] = [Backend::Gpu, Backend::Gpu, Backend::Cpu].map(|backend| {
+            options.backend = backend;
+            ssplat::unstable::encode(&pixels, &options).unwrap()
+        });
+        let chosen = &gpu.report.chosen;
+        assert_eq!((chosen.backend, &*chosen.device), (Backend::Gpu, device.name()), "{chosen}");
+        assert_eq!(cpu.report.chosen.backend, Backend::Cpu);
+        assert!(gpu.bytes != cpu.bytes && gpu.bytes == again.bytes, "{detail:?}");
+        let difference = gpu.report.psnr - cpu.report.psnr;
+        eprintln!("{detail:?}: CPU {:.2} dB, GPU {difference:+.2}", cpu.report.psnr);
+        // Single fits of as many primitives scatter by 0.2 dB.
+        assert!(difference.abs() < 0.5, "{detail:?}: {difference}");
+    }
 }
 
 fn render(device: &Device, picture: &Gaussians, view: &View, depth: Depth) -> Vec<u16> {

@@ -242,7 +242,7 @@ fn the_report_says_why_tiles_were_fitted_on_the_cpu() {
         ssplat::unstable::encode(&pixels, &options).unwrap().report.chosen.reason
     };
     assert_eq!(reason(Backend::Cpu), "requested");
-    assert_eq!(reason(Backend::Auto), "tiles are fitted on the CPU");
+    assert_eq!(reason(Backend::Auto), "the picture has fewer than 262144 pixels");
 }
 
 #[cfg(feature = "rayon")]
@@ -326,6 +326,21 @@ fn a_picture_divided_among_workers_gives_the_same_file() {
     let options = options(Target::Primitives(300), Some(128));
     let there = encode_by(&deep, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
     assert!(there == ssplat::unstable::encode(&deep, &options).unwrap().bytes);
+}
+
+#[test]
+fn workers_fit_on_the_cpu_and_refuse_a_requested_gpu() {
+    let pixels = picture(300, 140, Channels::Grey);
+    let encoded = |backend| {
+        let mut options = options(Target::Bytes(300), Some(128));
+        options.backend = backend;
+        let mut workers = Elsewhere::new(1, &|_, answer| answer);
+        Encoder::from(options).encode_divided(&pixels, &mut workers, &mut |_| ControlFlow::Continue(()))
+    };
+    let chosen = encoded(Backend::Auto).unwrap().report.chosen;
+    assert_eq!((chosen.backend, &*chosen.reason), (Backend::Cpu, "workers fit tiles on the CPU"));
+    let refused = encoded(Backend::Gpu);
+    assert!(matches!(refused, Err(Error::Parameter { parameter: Parameter::Backend, .. })), "{refused:?}");
 }
 
 #[test]

@@ -1,17 +1,26 @@
 //! Chooses the device that fits a picture, records the reason, and runs the fit on it.
 
 use std::fmt;
+use std::ops::Range;
+use std::sync::OnceLock;
+
+use rand_pcg::Pcg64Mcg;
 
 use super::constant::is_constant;
+use super::workers::Executor;
 use crate::error::{Error, GpuError, Result};
 use crate::fit;
 use crate::fit::Fitted;
 use crate::fit::engine::Watcher;
 use crate::fit::job::Job;
+use crate::fit::schedule;
 use crate::fit::state::State;
 use crate::options::{Backend, EncodeOptions};
-use crate::pixels::Pixels;
+use crate::parameter::Parameter;
+use crate::pixels::{Depth, Pixels};
 
+#[cfg(feature = "gpu")]
+use crate::fit::engine::Engine;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Adapters, Device, Fitter};
 #[cfg(feature = "gpu")]
@@ -36,13 +45,6 @@ pub struct Chosen {
     pub reason: String,
 }
 
-impl Chosen {
-    /// Returns the CPU, which always fits tiles.
-    pub(super) fn for_tiles(asked: Backend) -> Self {
-        Chosen::cpu(if asked == Backend::Cpu { "requested" } else { "tiles are fitted on the CPU" })
-    }
-}
-
 impl Default for Chosen {
     fn default() -> Self {
         Chosen::cpu("requested")
@@ -64,9 +66,11 @@ impl Chosen {
 /// The device chosen for an encode.
 #[derive(Debug)]
 pub(super) struct Choice {
-    pub chosen: Chosen,
+    chosen: Chosen,
     asked: Backend,
     gpu: Option<Device>,
+    /// The CPU, once a GPU that was chosen automatically has failed.
+    fallback: OnceLock<Chosen>,
 }
 
 impl Choice {
@@ -76,41 +80,104 @@ impl Choice {
     /// [`Error::Gpu`] if the GPU is requested and not available. The automatic choice falls back to the CPU.
     pub(super) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
+        if options.backend == Backend::Auto && area >= MIN_GPU_PIXELS && is_constant(pixels) {
+            return Ok(Choice::of((None, Chosen::cpu("the picture has a single colour")), options.backend));
+        }
+        Choice::for_area(options, area)
+    }
+
+    /// Chooses a device for a picture of this size that `executor` fits in tiles.
+    ///
+    /// # Errors
+    /// As [`Choice::new`]. Workers of the caller fit on the CPU, and with them [`Error::Parameter`] if the GPU is
+    /// requested.
+    pub(super) fn for_tiles(options: &EncodeOptions, size: [u32; 2], executor: &Executor<'_>) -> Result<Self> {
+        const BY_WORKERS: &str = "workers fit tiles on the CPU";
+        match (executor, options.backend) {
+            (Executor::External(_), Backend::Gpu) => {
+                Err(Error::Parameter { parameter: Parameter::Backend, problem: BY_WORKERS.into() })
+            }
+            (Executor::External(_), Backend::Auto) => Ok(Choice::of((None, Chosen::cpu(BY_WORKERS)), options.backend)),
+            _ => Choice::for_area(options, size.map(u64::from).iter().product()),
+        }
+    }
+
+    fn for_area(options: &EncodeOptions, area: u64) -> Result<Self> {
         let opened = match options.backend {
             Backend::Cpu => Ok((None, Chosen::cpu("requested"))),
             Backend::Auto if area < MIN_GPU_PIXELS => {
                 Ok((None, Chosen::cpu(format!("the picture has fewer than {MIN_GPU_PIXELS} pixels"))))
             }
-            Backend::Auto if is_constant(pixels) => Ok((None, Chosen::cpu("the picture has a single colour"))),
             asked => open(asked, options),
         };
-        let (gpu, chosen) = match opened {
-            Ok(found) => found,
-            Err(e) if options.backend == Backend::Auto => (None, Chosen::cpu(e.to_string())),
-            Err(e) => return Err(e.into()),
-        };
-        Ok(Choice { chosen, asked: options.backend, gpu })
+        match opened {
+            Ok(found) => Ok(Choice::of(found, options.backend)),
+            Err(e) if options.backend == Backend::Auto => {
+                Ok(Choice::of((None, Chosen::cpu(e.to_string())), options.backend))
+            }
+            Err(e) => Err(e.into()),
+        }
+    }
+
+    fn of((gpu, chosen): (Option<Device>, Chosen), asked: Backend) -> Self {
+        Choice { chosen, asked, gpu, fallback: OnceLock::new() }
+    }
+
+    /// Returns the device that fits.
+    pub(super) fn chosen(&self) -> &Chosen {
+        self.fallback.get().unwrap_or(&self.chosen)
+    }
+
+    fn gpu(&self) -> Option<&Device> {
+        self.gpu.as_ref().filter(|_| self.fallback.get().is_none())
     }
 
     /// Returns why no GPU is used, if the choice was automatic.
     pub(super) fn passed_over(&self) -> Option<String> {
-        let is_passed_over = self.asked == Backend::Auto && self.gpu.is_none();
-        is_passed_over.then(|| self.chosen.reason.clone())
+        let is_passed_over = self.asked == Backend::Auto && self.gpu().is_none();
+        is_passed_over.then(|| self.chosen().reason.clone())
     }
 
-    /// Runs `job`, whose picture is `pixels`, on the chosen device. If a GPU that was chosen automatically fails, the
+    /// Runs `work` on the GPU. Returns `None` if it is left to the CPU, also because a GPU that was chosen
+    /// automatically fails.
+    fn on_gpu<T>(&self, work: impl FnOnce(&Device) -> Result<T>) -> Option<Result<T>> {
+        match work(self.gpu()?) {
+            Err(Error::Gpu(e)) if self.asked == Backend::Auto => {
+                // Of several tiles that fail at the same time, the first one is reported.
+                let _ = self.fallback.set(Chosen::cpu(format!("{} failed: {e}", self.chosen.device)));
+                None
+            }
+            result => Some(result),
+        }
+    }
+
+    /// Runs `job`, whose samples have `depth`, on the chosen device. If a GPU that was chosen automatically fails, the
     /// CPU runs the job again.
-    pub(super) fn fit(&mut self, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
-        if let Some(device) = &self.gpu {
-            match fit_on(device, job, pixels, watcher) {
-                Err(Error::Gpu(e)) if self.asked == Backend::Auto => {
-                    self.chosen = Chosen::cpu(format!("{} failed: {e}", self.chosen.device));
-                    self.gpu = None;
-                }
-                fitted => return fitted,
+    pub(super) fn fit(&self, job: &Job<'_>, depth: Depth, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
+        match self.on_gpu(|device| fit_on(device, job, depth, watcher)) {
+            Some(fitted) => fitted,
+            None => fit::fit_on_cpu(job, watcher),
+        }
+    }
+
+    /// Takes the steps `steps` of `job`, whose samples have `depth`, from `state` on, on the chosen device. Several
+    /// threads may do so at a time. A GPU that fails is replaced as in [`Choice::fit`].
+    pub(super) fn steps(
+        &self,
+        job: &Job<'_>,
+        depth: Depth,
+        mut state: State,
+        (rng, steps): (Pcg64Mcg, Range<u32>),
+        watcher: &mut dyn Watcher,
+    ) -> Result<State> {
+        let schedule = (rng, steps);
+        match self.on_gpu(|device| steps_on(device, job, depth, &state, schedule.clone(), watcher)) {
+            Some(state) => state,
+            None => {
+                schedule::run(job, &mut state, schedule, watcher)?;
+                Ok(state)
             }
         }
-        fit::fit_on_cpu(job, watcher)
     }
 }
 
@@ -142,13 +209,40 @@ fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuEr
 }
 
 #[cfg(feature = "gpu")]
-fn fit_on(device: &Device, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
-    let open = |start: State| Fitter::new(device, &job.problem, pixels, &start.primitives, &start.bounds);
-    fit::fit(job, open, watcher)?.finished()
+fn fit_on(device: &Device, job: &Job<'_>, depth: Depth, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
+    fit::fit(job, |start| Fitter::resuming(device, &job.problem, depth, &start), watcher)?.finished()
 }
 
 #[cfg(not(feature = "gpu"))]
-fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Result<Fitted<State>> {
+fn fit_on(device: &Device, _: &Job<'_>, _: Depth, _: &mut dyn Watcher) -> Result<Fitted<State>> {
+    match *device {}
+}
+
+#[cfg(feature = "gpu")]
+fn steps_on(
+    device: &Device,
+    job: &Job<'_>,
+    depth: Depth,
+    state: &State,
+    schedule: (Pcg64Mcg, Range<u32>),
+    watcher: &mut dyn Watcher,
+) -> Result<State> {
+    let mut fitter = Fitter::resuming(device, &job.problem, depth, state)?;
+    schedule::run(job, &mut fitter, schedule, watcher)?;
+    // The best state cannot be kept later, because it is on the device.
+    fitter.keep_best()?;
+    fitter.finish()
+}
+
+#[cfg(not(feature = "gpu"))]
+fn steps_on(
+    device: &Device,
+    _: &Job<'_>,
+    _: Depth,
+    _: &State,
+    _: (Pcg64Mcg, Range<u32>),
+    _: &mut dyn Watcher,
+) -> Result<State> {
     match *device {}
 }
 
@@ -175,11 +269,15 @@ mod gpu_tests {
         device.wgpu().0.destroy();
         for asked in [Backend::Auto, Backend::Gpu] {
             let chosen = Chosen { backend: Backend::Gpu, device: "the GPU".to_owned(), reason: String::new() };
-            let mut choice = Choice { chosen, asked, gpu: Some(device.clone()) };
-            let fitted = choice.fit(&job, &pixels, &mut Unwatched);
+            let choice = Choice::of((Some(device.clone()), chosen), asked);
+            let fitted = choice.fit(&job, Depth::Eight, &mut Unwatched);
             if asked == Backend::Auto {
                 assert_eq!(fitted.unwrap().by.primitives, on_cpu.primitives);
-                assert!(choice.chosen.to_string().starts_with("CPU: the GPU failed: device lost"), "{}", choice.chosen);
+                assert!(
+                    choice.chosen().to_string().starts_with("CPU: the GPU failed: device lost"),
+                    "{}",
+                    choice.chosen()
+                );
                 assert!(choice.passed_over().is_some());
             } else {
                 assert!(matches!(fitted, Err(Error::Gpu(GpuError::Lost { .. }))), "{fitted:?}");

@@ -79,7 +79,7 @@ impl WholeSession<'_> {
         let stage = Stage { name: "fit", report: &mut self.report, input, planes };
         let mut watcher = FitWatcher { stage, job, size, draft: self.blank.clone(), steps: 0 };
         let Fitted { by: state, ending, amplitude } = match options.recipe {
-            Recipe::Ssplat => self.device.fit(&job, input.pixels, &mut watcher)?,
+            Recipe::Ssplat => self.device.fit(&job, input.pixels.depth(), &mut watcher)?,
             #[cfg(feature = "smartsplat")]
             Recipe::SmartSplat(parts) => {
                 let by = crate::fit::smartsplat::fit(&job, parts, &mut watcher)?;

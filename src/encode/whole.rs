@@ -92,7 +92,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
     }
 
     fn chosen(&self) -> Chosen {
-        self.device.chosen.clone()
+        self.device.chosen().clone()
     }
 
     fn channels(&self) -> Channels {

@@ -12,6 +12,8 @@ use crate::fit::model::problem::Problem;
 use crate::fit::state::{CLEARLY_WORSE, State};
 
 impl Engine for State {
+    const REMEMBERS_WHOLE_STEPS: bool = true;
+
     fn count(&self) -> usize {
         self.primitives.len()
     }

@@ -13,6 +13,10 @@ use crate::fit::state::State;
 /// Methods that may have to wait for a device return a `Result`. Each method receives the problem that the steps
 /// currently work on: after [`zoom`](Engine::zoom) that is the smaller picture.
 pub(crate) trait Engine {
+    /// Whether a step on all rows also does what [`remember`](Engine::remember) does with the state before the step,
+    /// because it computes the error anyway.
+    const REMEMBERS_WHOLE_STEPS: bool;
+
     /// Returns the number of primitives.
     fn count(&self) -> usize;
     /// Returns the primitives after all requested steps, at the picture size that the steps work on.

@@ -25,8 +25,8 @@ pub(crate) const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.1
 pub(crate) const SAMPLED_UNTIL: f32 = 0.8;
 /// Start of the iterations that sample the most rows, as a fraction of all iterations.
 const DENSE_FROM: f32 = 0.95;
-/// Iterations between checks of the error over all rows, if the last steps sample few of them.
-pub(crate) const CHECK_INTERVAL: u32 = 20;
+/// Iterations between checks of the error over all rows in the last part of a fit.
+const CHECK_INTERVAL: u32 = 20;
 /// Maximum size of a picture that is checked in each of those iterations, in pixels. A few primitives can lose tenths
 /// of a decibel in a single step.
 const MAX_ALWAYS_CHECKED_PIXELS: u64 = 1 << 14;
@@ -239,10 +239,9 @@ impl<'a> Schedule<'a> {
         });
         let rates = Rates { decay, ..RATES };
         let rates = rates.scaled(plan.rate).scaled(plan.last_rate + (1.0 - plan.last_rate) * cosine);
-        // A step on all rows computes the error anyway.
         let each = if whole.scene.pixels() <= MAX_ALWAYS_CHECKED_PIXELS { 1 } else { CHECK_INTERVAL };
-        let is_due = iteration.is_multiple_of(each);
-        if done >= SAMPLED_UNTIL && sampled.step > 1 && self.reduced.is_none() && is_due {
+        let is_due = done >= SAMPLED_UNTIL && self.reduced.is_none() && iteration.is_multiple_of(each);
+        if is_due && !(E::REMEMBERS_WHOLE_STEPS && sampled == RowSet::ALL) {
             engine.remember(whole)?;
         }
         let (problem, _) = self.current();
@@ -304,4 +303,104 @@ fn sampled_step(step: u32, done: f32) -> u32 {
 
 fn gcd(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { gcd(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::engine::Unwatched;
+    use crate::fit::model::drawing::project::Primitive;
+    use crate::fit::model::objective::planes::Planes;
+    use crate::fit::plan::Plan;
+    use crate::fit::state::State;
+    use crate::gaussian::{Blend, Channels};
+    use crate::pixels::{Pixels, Samples};
+
+    /// Records for each step its rows and whether the state before it was remembered.
+    #[derive(Default)]
+    struct Recorder<const REMEMBERS: bool> {
+        steps: Vec<(RowSet, bool)>,
+        is_remembered: bool,
+    }
+
+    impl<const REMEMBERS: bool> Engine for Recorder<REMEMBERS> {
+        const REMEMBERS_WHOLE_STEPS: bool = REMEMBERS;
+
+        fn count(&self) -> usize {
+            236
+        }
+
+        fn primitives(&mut self) -> Result<Vec<Primitive>> {
+            Ok(Vec::new())
+        }
+
+        fn settle(&mut self) -> Result<()> {
+            Ok(())
+        }
+
+        fn error(&mut self, _: &Problem<'_>) -> Result<f64> {
+            Ok(1.0)
+        }
+
+        fn descend(&mut self, _: &Problem<'_>, rows: RowSet, _: Rates) -> Result<Option<f64>> {
+            self.steps.push((rows, std::mem::take(&mut self.is_remembered)));
+            Ok(None)
+        }
+
+        fn relocate(&mut self, _: &Problem<'_>, _: RowSet, _: usize) -> Result<usize> {
+            Ok(0)
+        }
+
+        fn resize(&mut self, _: &Problem<'_>, _: RowSet, _: usize) -> Result<()> {
+            Ok(())
+        }
+
+        fn remember(&mut self, _: &Problem<'_>) -> Result<()> {
+            self.is_remembered = true;
+            Ok(())
+        }
+
+        fn keep_best(&mut self) -> Result<()> {
+            Ok(())
+        }
+
+        fn zoom(&mut self, _: &Problem<'_>, _: f32) -> Result<()> {
+            Ok(())
+        }
+
+        fn reweigh(&mut self, _: &Problem<'_>) -> Result<()> {
+            Ok(())
+        }
+
+        fn finish(self) -> Result<State> {
+            unreachable!("the schedule does not end the fit")
+        }
+    }
+
+    /// Runs 100 steps on a picture with this side.
+    fn recorded<const REMEMBERS: bool>(side: u32) -> Vec<(RowSet, bool)> {
+        let samples = Samples::U8(vec![99; (side * side) as usize]);
+        let target = Planes::new(&Pixels::new(side, side, Channels::Grey, samples).unwrap());
+        let scene = Scene { width: side, height: side, blend: Blend::Normalized, background: target.mean };
+        let plan = Plan::steps(100, 0);
+        let job = Job { problem: Problem { scene, target: &target }, count: 236, plan: &plan };
+        let mut engine = Recorder::<REMEMBERS>::default();
+        let rng = rand::SeedableRng::seed_from_u64(0);
+        run(&job, &mut engine, (rng, 0..100), &mut Unwatched).unwrap();
+        engine.steps
+    }
+
+    #[test]
+    fn every_late_state_of_a_small_picture_is_remembered_by_every_engine() {
+        let (own, asked) = (recorded::<true>(128), recorded::<false>(128));
+        assert!(own.iter().map(|s| s.0).eq(asked.iter().map(|s| s.0)), "both take the same steps");
+        assert_eq!(own.iter().filter(|s| s.0 == RowSet::ALL).count(), 5);
+        for (i, (own, asked)) in own.iter().zip(&asked).enumerate() {
+            assert_eq!(asked.1, i >= 80, "step {i}");
+            assert_eq!(own.1 || own.0 == RowSet::ALL, i >= 80, "step {i}");
+        }
+        let sparse: Vec<usize> =
+            recorded::<false>(129).iter().enumerate().filter(|(_, s)| s.1).map(|(i, _)| i).collect();
+        assert_eq!(sparse, [80], "a larger picture is checked every 20 steps");
+    }
 }

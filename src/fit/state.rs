@@ -39,13 +39,49 @@ pub(crate) struct State {
     pub(super) latest: f64,
 }
 
+/// What a fit has accumulated besides its primitives. Another engine needs it to take the same steps from there on.
+#[derive(Debug)]
+pub(crate) struct Progress {
+    /// Moments of each primitive that moves.
+    pub moments: Vec<AdamMoments>,
+    pub iteration: u32,
+    pub price: f32,
+    pub is_priced: bool,
+}
+
 impl State {
-    pub(crate) fn new(mut primitives: Vec<Primitive>, bounds: Bounds) -> Self {
+    /// Returns the state of a fit at full size that another engine has brought to this point.
+    pub(crate) fn resumed(
+        primitives: Vec<Primitive>,
+        frozen: Vec<Primitive>,
+        bounds: Bounds,
+        progress: Progress,
+    ) -> Self {
+        let Progress { moments, iteration, price, is_priced } = progress;
+        let mut state = State { frozen, iteration, price, is_priced, ..State::unsorted(primitives, bounds) };
+        state.memory = moments;
+        state.sort();
+        state
+    }
+
+    /// Returns what another engine needs besides the primitives to continue this fit.
+    pub(crate) fn progress(&self) -> Progress {
+        let State { iteration, price, is_priced, .. } = *self;
+        Progress { moments: self.memory.clone(), iteration, price, is_priced }
+    }
+
+    pub(crate) fn new(primitives: Vec<Primitive>, bounds: Bounds) -> Self {
+        let mut state = State::unsorted(primitives, bounds);
+        state.sort();
+        state
+    }
+
+    fn unsorted(mut primitives: Vec<Primitive>, bounds: Bounds) -> Self {
         for p in &mut primitives {
             bounds.apply(p);
         }
         let memory = vec![AdamMoments::default(); primitives.len()];
-        let mut state = State {
+        State {
             primitives,
             frozen: Vec::new(),
             memory,
@@ -59,9 +95,7 @@ impl State {
             scale: 1.0,
             best: None,
             latest: 0.0,
-        };
-        state.sort();
-        state
+        }
     }
 
     /// Takes one step on the error over `rows`. Returns the error before the step.

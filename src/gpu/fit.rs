@@ -8,21 +8,20 @@ use super::device::Device;
 use super::lists::{MAX_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{NO_ALPHA, Primitive, TILE, Uniforms, spaced};
-use super::source::{Source, pack, pack_target, rows_at_a_time, words};
+use super::source::{Source, pack, rows_at_a_time, words};
 use super::workspace::{BufferSizes, SLOT, SLOTS, Workspace};
 use crate::error::{GpuError, Result};
 use crate::fit::engine::Engine;
-use crate::fit::model::adam::{self, Bounds, Rates};
+use crate::fit::model::adam::{self, AdamMoments, Bounds, Rates};
 use crate::fit::model::drawing::project;
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::{self, Peak};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::schedule::CHECK_INTERVAL;
-use crate::fit::state::{CLEARLY_WORSE, State};
+use crate::fit::state::{CLEARLY_WORSE, Progress, State};
 use crate::gaussian::Channels;
-use crate::pixels::{Depth, Pixels};
+use crate::pixels::Depth;
 use crate::raster::View;
 
 /// Steps per submission.
@@ -45,7 +44,10 @@ pub(crate) struct Fitter {
     depth: Depth,
     band_rows: u32,
     capacity: u32,
+    /// Number of primitives, including those that do not move.
     count: u32,
+    /// Number of primitives at the end that do not move.
+    frozen: u32,
     primitives: wgpu::Buffer,
     first: wgpu::Buffer,
     second: wgpu::Buffer,
@@ -55,12 +57,12 @@ pub(crate) struct Fitter {
     pending: Vec<(RowSet, Rates)>,
     /// Penalty for the size of primitives, based on the last known error: see [`adam::price`].
     price: f32,
+    /// Whether the objective includes this penalty.
+    is_priced: bool,
     /// Number of steps done.
     iteration: u32,
     /// The lowest error over all rows for the current number of primitives and size, and the primitives that had it.
     best: Option<(f64, wgpu::Buffer)>,
-    /// Number of steps since the error over all rows was last measured.
-    unseen: u32,
 }
 
 /// Rows of a step that are processed together: sampled rows `first .. first + rows`, all within one slab.
@@ -92,33 +94,48 @@ pub(super) struct Survey {
 }
 
 impl Fitter {
-    /// Copies the picture, the weights of its errors and the initial state of its fit to `device`. `pixels` are the
-    /// samples of the problem's target.
+    /// Copies the picture, whose samples have `depth`, the weights of its errors and the state of its fit at full size
+    /// to `device`, and continues the fit from there.
     ///
     /// # Errors
     /// [`Error::Gpu`] if the device fails or does not have enough memory.
-    pub(crate) fn new(
+    pub(crate) fn resuming(device: &Device, problem: &Problem<'_>, depth: Depth, state: &State) -> Result<Self> {
+        let all = [&state.primitives[..], &state.frozen].concat();
+        let mut fitter = Fitter::new(device, problem, depth, &all, &state.bounds)?;
+        let Progress { moments, iteration, price, is_priced } = state.progress();
+        (fitter.iteration, fitter.price, fitter.is_priced) = (iteration, price, is_priced);
+        fitter.frozen = state.frozen.len() as u32;
+        device.scoped(|| {
+            let [first, second]: [Vec<_>; 2] = moments.iter().map(|m| (m.first, m.second)).unzip().into();
+            device.write(&fitter.first, &first);
+            device.write(&fitter.second, &second);
+        })?;
+        Ok(fitter)
+    }
+
+    /// Copies the picture and `primitives` to `device`, at the start of a fit.
+    pub(super) fn new(
         device: &Device,
         problem: &Problem<'_>,
-        pixels: &Pixels,
+        depth: Depth,
         primitives: &[project::Primitive],
         bounds: &Bounds,
     ) -> Result<Self> {
-        Fitter::within(device, problem, pixels, primitives, bounds, MAX_BINDING)
+        Fitter::within(device, problem, depth, primitives, bounds, MAX_BINDING)
     }
 
     /// Creates a fitter whose picture-sized buffers are divided into bindings of at most `binding` bytes.
     pub(super) fn within(
         device: &Device,
         problem: &Problem<'_>,
-        pixels: &Pixels,
+        depth: Depth,
         primitives: &[project::Primitive],
         bounds: &Bounds,
         binding: u64,
     ) -> Result<Self> {
         check_primitives(primitives.len() as u64)?;
         let Problem { scene, target } = problem;
-        let words = words(target, pixels.depth());
+        let (channels, words) = (target.channels, words(target, depth));
         let weighted = !target.amplitude.is_empty();
         let base = Uniforms {
             source_words: words,
@@ -126,11 +143,11 @@ impl Fitter {
             channel_amplitude: target.channel_amplitude,
             // The channel that weights the errors of colours.
             alpha: target.opacity.map_or(NO_ALPHA, |a| a as u32),
-            ..base(scene, pixels.channels(), bounds)
+            ..base(scene, channels, bounds)
         };
         let size = [scene.width, scene.height];
         let [slab_rows, band_rows] = rows_at_a_time(size[0], size[1], words, binding)?;
-        let source = Source::new(device, size, slab_rows, |first, end| pack(pixels, target, first, end))?;
+        let source = Source::new(device, size, slab_rows, |first, end| pack(target, depth, first, end))?;
         let count = primitives.len() as u32;
         let capacity = capacity_for(count);
         let [primitives, first, second] = upload(device, primitives, None)?;
@@ -140,11 +157,12 @@ impl Fitter {
             source,
             whole: None,
             binding,
-            channels: pixels.channels(),
-            depth: pixels.depth(),
+            channels,
+            depth,
             band_rows,
             capacity,
             count,
+            frozen: 0,
             primitives,
             first,
             second,
@@ -152,9 +170,9 @@ impl Fitter {
             peaks: None,
             pending: Vec::new(),
             price: 0.0,
+            is_priced: true,
             iteration: 0,
             best: None,
-            unseen: 0,
         })
     }
 
@@ -209,7 +227,7 @@ impl Fitter {
     fn source_of(&self, target: &Planes) -> Result<Source> {
         let size = [target.width, target.height];
         let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
-        Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))
+        Source::new(&self.device, size, slab_rows, |first, end| pack(target, self.depth, first, end))
     }
 
     /// Switches to `scene`, which has the size of the source. Buffers of another size are dropped.
@@ -227,8 +245,7 @@ impl Fitter {
     /// Stores the current state if its error over all rows is the lowest so far.
     fn remember_if_best(&mut self) -> Result<()> {
         self.flush()?;
-        self.unseen = 0;
-        if self.count == 0 {
+        if self.moving() == 0 {
             return Ok(());
         }
         let error = self.survey(RowSet::ALL, Wanted::Error)?.error;
@@ -272,6 +289,7 @@ impl Fitter {
             correction_first,
             correction_second,
             primitives: self.count,
+            frozen: self.frozen,
             capacity: self.capacity,
             row_step: rows.step,
             row_phase: rows.phase,
@@ -315,7 +333,7 @@ impl Fitter {
 
     /// Submits the pending steps.
     fn flush(&mut self) -> Result<()> {
-        if self.count == 0 {
+        if self.moving() == 0 {
             self.pending.clear();
         }
         while !self.pending.is_empty() {
@@ -365,7 +383,7 @@ impl Fitter {
                     work.record_band(&u[0]);
                 }
                 let mut pass = work.encoder.begin_compute_pass(&Default::default());
-                k.adam.each(&mut pass, &workspace.adam, start, count);
+                k.adam.each(&mut pass, &workspace.adam, start, self.moving().into());
             }
             work.submit();
         })
@@ -446,9 +464,9 @@ impl Fitter {
             let error = workspace.error(device, tiles)?;
             let costs = match wanted {
                 Wanted::Error => Vec::new(),
-                Wanted::All => device.read_as(&workspace.moments, self.count as usize)?,
+                Wanted::All => device.read_as(&workspace.moments, self.moving() as usize)?,
             };
-            if wanted == Wanted::All {
+            if wanted == Wanted::All && self.is_priced {
                 self.price = adam::price(error, [self.base.width, self.base.height], rows, self.count as usize);
             }
             return Ok(Survey { error, costs, rows });
@@ -464,6 +482,18 @@ impl Fitter {
         Ok(peaks::best(candidates, count, scene))
     }
 
+    /// Returns the number of primitives that move.
+    fn moving(&self) -> u32 {
+        self.count - self.frozen
+    }
+
+    /// Returns the first and second moments of the primitives that move.
+    fn moments(&self) -> Result<[Vec<[f32; 9]>; 2]> {
+        let read = |buffer| self.device.read_as::<[f32; 9]>(buffer, self.moving() as usize);
+        Ok([read(&self.first)?, read(&self.second)?])
+    }
+
+    /// Returns all primitives, those that do not move last.
     fn download(&self) -> Result<Vec<project::Primitive>> {
         let read: Vec<Primitive> = self.device.read_as(&self.primitives, self.count as usize)?;
         Ok(read.into_iter().map(unpacked).collect())
@@ -471,13 +501,18 @@ impl Fitter {
 }
 
 impl Engine for Fitter {
+    /// The errors of steps arrive too late to save the states that had them.
+    const REMEMBERS_WHOLE_STEPS: bool = false;
+
     fn count(&self) -> usize {
-        self.count as usize
+        self.moving() as usize
     }
 
     fn primitives(&mut self) -> Result<Vec<project::Primitive>> {
         self.flush()?;
-        self.download()
+        let mut primitives = self.download()?;
+        primitives.truncate(self.moving() as usize);
+        Ok(primitives)
     }
 
     fn settle(&mut self) -> Result<()> {
@@ -506,12 +541,6 @@ impl Engine for Fitter {
     }
 
     fn descend(&mut self, _: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
-        self.unseen += 1;
-        // Steps on all rows are not followed by a survey, and their own errors arrive too late to keep the state that
-        // had them.
-        if rows == RowSet::ALL && self.unseen > CHECK_INTERVAL {
-            self.remember_if_best()?;
-        }
         self.pending.push((rows, rates));
         if self.pending.len() < BATCH {
             return Ok(None);
@@ -528,7 +557,7 @@ impl Engine for Fitter {
 
     fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
         self.flush()?;
-        if self.count == 0 {
+        if self.moving() == 0 {
             return Ok(0);
         }
         let survey = self.survey(rows, Wanted::All)?;
@@ -536,7 +565,7 @@ impl Engine for Fitter {
         let Some(&first) = order.first() else { return Ok(0) };
         let least = survey.costs[first];
         let mut moves: Vec<u32> = Vec::new();
-        for (peak, i) in self.best_peaks(&problem.scene, &survey, most, self.count as usize, least)?.iter().zip(order) {
+        for (peak, i) in self.best_peaks(&problem.scene, &survey, most, self.count(), least)?.iter().zip(order) {
             if peak.gain < survey.costs[i] {
                 break;
             }
@@ -565,34 +594,31 @@ impl Engine for Fitter {
 
     fn resize(&mut self, problem: &Problem<'_>, rows: RowSet, wanted: usize) -> Result<()> {
         self.flush()?;
-        check_primitives(wanted as u64)?;
-        let have = self.count as usize;
-        if wanted != have {
-            self.best = None;
+        check_primitives(wanted as u64 + u64::from(self.frozen))?;
+        let survey = self.survey(rows, Wanted::All)?;
+        let have = self.count();
+        if wanted == have {
+            return Ok(());
         }
+        self.best = None;
         let mut primitives = self.download()?;
-        let read = |buffer| self.device.read_as::<[f32; 9]>(buffer, have);
-        let (mut first, mut second) = (read(&self.first)?, read(&self.second)?);
-        if wanted != have {
-            let survey = self.survey(rows, Wanted::All)?;
-            if wanted < have {
-                let mut keep = vec![true; have];
-                for i in removal::cheapest_first(&survey.costs).into_iter().take(have - wanted) {
-                    keep[i] = false;
-                }
-                primitives = kept(&primitives, &keep);
-                first = kept(&first, &keep);
-                second = kept(&second, &keep);
-            } else {
-                for peak in self.best_peaks(&problem.scene, &survey, wanted - have, wanted, 0.0)? {
-                    primitives.push(peaks::at_peak(&peak, problem));
-                    first.push([0.0; 9]);
-                    second.push([0.0; 9]);
-                }
+        let frozen = primitives.split_off(have);
+        let mut moments = self.moments()?;
+        if wanted < have {
+            let mut keep = vec![true; have];
+            for i in removal::cheapest_first(&survey.costs).into_iter().take(have - wanted) {
+                keep[i] = false;
             }
+            primitives = kept(&primitives, &keep);
+            moments = moments.map(|m| kept(&m, &keep));
+        } else {
+            let peaks = self.best_peaks(&problem.scene, &survey, wanted - have, wanted, 0.0)?;
+            primitives.extend(peaks.iter().map(|peak| peaks::at_peak(peak, problem)));
         }
-        [self.primitives, self.first, self.second] = upload(&self.device, &primitives, Some([&first, &second]))?;
+        primitives.extend(frozen);
         self.count = primitives.len() as u32;
+        // Moments that are not given are zero.
+        [self.primitives, self.first, self.second] = upload(&self.device, &primitives, Some(moments.each_ref()))?;
         self.capacity = self.capacity.max(capacity_for(self.count));
         self.workspace = None;
         self.peaks = None;
@@ -604,6 +630,10 @@ impl Engine for Fitter {
         let Some((least, best)) = self.best.take() else { return Ok(()) };
         if self.survey(RowSet::ALL, Wanted::Error)?.error > CLEARLY_WORSE * least {
             self.primitives = best;
+            // The moments belong to the state that is dropped.
+            let zeros = vec![[0.0f32; 9]; self.count as usize];
+            self.device.scoped(|| [&self.first, &self.second].map(|moments| self.device.write(moments, &zeros)))?;
+            self.iteration = 0;
             self.workspace = None;
             self.peaks = None;
         }
@@ -623,7 +653,7 @@ impl Engine for Fitter {
         self.whole = (by < 1.0).then_some(before);
         let bounds = Bounds::new(scene.width, scene.height);
         let mut primitives = project::zoomed(self.download()?, by);
-        primitives.iter_mut().for_each(|p| bounds.apply(p));
+        primitives[..self.count()].iter_mut().for_each(|p| bounds.apply(p));
         [self.primitives, self.first, self.second] = upload(&self.device, &primitives, None)?;
         self.set_scene(scene)
     }
@@ -638,8 +668,15 @@ impl Engine for Fitter {
     }
 
     fn finish(mut self) -> Result<State> {
+        self.flush()?;
+        let mut primitives = self.download()?;
+        let frozen = primitives.split_off(self.count());
+        let [first, second] = self.moments()?;
+        let moments = first.into_iter().zip(second).map(|(first, second)| AdamMoments { first, second }).collect();
+        let Fitter { iteration, price, is_priced, .. } = self;
+        let progress = Progress { moments, iteration, price, is_priced };
         let bounds = Bounds::new(self.base.width, self.base.height);
-        Ok(State::new(self.primitives()?, bounds))
+        Ok(State::resumed(primitives, frozen, bounds, progress))
     }
 }
 
@@ -695,7 +732,7 @@ fn kept<T: Copy>(all: &[T], keep: &[bool]) -> Vec<T> {
 fn upload(
     device: &Device,
     primitives: &[project::Primitive],
-    memory: Option<[&[[f32; 9]]; 2]>,
+    memory: Option<[&Vec<[f32; 9]>; 2]>,
 ) -> Result<[wgpu::Buffer; 3]> {
     let bytes = primitives.len() as u64 * size_of::<Primitive>() as u64;
     let primitives: Vec<Primitive> = primitives.iter().map(packed).collect();

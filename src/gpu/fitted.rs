@@ -124,7 +124,7 @@ pub fn fit(
     let plan = Plan::steps(steps, seed);
     let mut looking = Looking { look, samples, start: None, looked: 0.0, step: 0 };
     let open = |start: State| {
-        let mut fitter = Fitter::new(device, &problem, pixels, &start.primitives, &start.bounds)?;
+        let mut fitter = Fitter::resuming(device, &problem, pixels.depth(), &start)?;
         // Copying to the device counts as setup, not as part of the first step.
         fitter.settle()?;
         Ok(fitter)

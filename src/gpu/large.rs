@@ -72,7 +72,7 @@ fn fit_and_draw(count: usize, rows: u32) {
     let primitives = sample::by_detail(&target, count, &mut Pcg64Mcg::seed_from_u64(0));
     let mut cpu = State::new(primitives, Bounds::new(WIDTH, HEIGHT));
     note("picture and start, CPU");
-    let mut fitter = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &cpu.bounds).unwrap();
+    let mut fitter = Fitter::new(&device, &problem, Depth::Eight, &cpu.primitives, &cpu.bounds).unwrap();
     drop(pixels);
     note("bringing them to the device");
 
@@ -118,23 +118,32 @@ fn fit_and_draw(count: usize, rows: u32) {
         |device: &Device| device.wgpu().0.generate_allocator_report().map_or(0, |r| r.total_reserved_bytes >> 20);
     eprintln!("device memory for the fit: {} MB", held(&device));
     drop(target);
+    assert_first_rows_are_the_cpus(&device, gaussians(&mut fitter, &scene), rows);
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find(|l| l.starts_with("VmHWM")).unwrap_or_default();
+    eprintln!("{count} primitives: {:.0} s in all; host: {peak}", clock.elapsed().as_secs_f64());
+}
 
-    let gaussians = fitter.primitives().unwrap().into_iter().map(Primitive::to_gaussian).collect();
-    let background = scene.background;
-    let picture = Gaussians {
+/// Returns the picture that `fitter` has fitted.
+fn gaussians(fitter: &mut Fitter, scene: &Scene) -> Gaussians {
+    Gaussians {
         width: WIDTH,
         height: HEIGHT,
         channels: Channels::Rgb,
         depth: Depth::Eight,
         blend: scene.blend,
-        background,
-        list: gaussians,
-    };
-    let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
+        background: scene.background,
+        list: fitter.primitives().unwrap().into_iter().map(Primitive::to_gaussian).collect(),
+    }
+}
+
+/// Renders the first `rows` rows of `picture` and compares some of them with the CPU.
+fn assert_first_rows_are_the_cpus(device: &Device, picture: Gaussians, rows: u32) {
+    let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
     let view = View::full(&picture).crop(Rect::new(0, 0, WIDTH, rows)).unwrap();
-    last = Instant::now();
+    let clock = Instant::now();
     let Samples::U8(drawn) = renderer.render(&view, Depth::Eight).unwrap().into_samples() else { panic!("8 bits") };
-    eprintln!("drawing {rows} rows, bands of {} rows: {:.1} s", renderer.bands().0, last.elapsed().as_secs_f64());
+    eprintln!("drawing {rows} rows, bands of {} rows: {:.1} s", renderer.bands().0, clock.elapsed().as_secs_f64());
     // At the seam of two bands.
     let first = (renderer.bands().0 - 32).min(rows - 64);
     let part = view.crop(Rect::new(0, first, WIDTH, 64)).unwrap();
@@ -145,9 +154,6 @@ fn fit_and_draw(count: usize, rows: u32) {
     let (worst, differ) = (off.iter().max().unwrap(), off.iter().filter(|&&d| d > 0).count());
     eprintln!("rows {first}..{}: {differ} of {} samples differ, by at most {worst}", first + 64, off.len());
     assert!(*worst <= 1);
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find(|l| l.starts_with("VmHWM")).unwrap_or_default();
-    eprintln!("{count} primitives: {:.0} s in all; host: {peak}", clock.elapsed().as_secs_f64());
 }
 
 #[test]

@@ -19,6 +19,8 @@
 
 mod device;
 mod fit;
+#[cfg(test)]
+mod fit_tests;
 #[cfg(any(test, feature = "unstable"))]
 mod fitted;
 mod kernels;

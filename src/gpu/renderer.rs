@@ -325,36 +325,22 @@ impl Renderer {
             detail: layer.is_some().into(),
             ..Uniforms::new(view, canvas.blend, canvas.channels, canvas.background, count as u32)
         };
-        // Output rows in a tile. A band has whole rows of tiles whose codes fit into a binding, or as many rows as
-        // additions are held for.
+        // Output rows in a tile.
         let tall = TILE / base.down;
-        let row = u64::from(stride) * u64::from(tall) * 4;
-        let mut most = (MAX_BINDING / row).min(MAX_TILES / u64::from(base.tiles_x)) as u32 * tall;
-        if most == 0 {
-            let (what, requested) = ("bytes in a row of tiles", row);
-            return Err(GpuError::Overflow { what, requested, allowed: MAX_BINDING }.into());
-        }
         let added = layer.as_ref().map_or(0, Layer::row_memory);
         let grid = Grid { width: base.width, height: base.height, down: base.down, stride, added };
-        if let Some(layer) = &layer {
-            most = most.min(layer.most_rows()?);
-        }
+        let most = most_rows(&base, tall, layer.as_ref())?;
         if self.stage.as_ref().is_none_or(|s| s.shape.grid != grid) {
             self.band_rows = most.min(view.height().next_multiple_of(tall));
         }
         if let Some(layer) = &layer {
             layer.check(self.band_rows, &self.budget)?;
         }
-        let layer_work = layer.as_ref().map_or(0, Layer::work);
-        let all_work = self.limits.work;
-        let max_work = self.limits.max_work(u64::from(base.width) * u64::from(base.height), self.count.into());
-        let tile_pairs = self.limits.tile_pairs;
-        let most_pairs = tile_pairs.min(max_work.min(all_work - layer_work) / PAIR_WORK);
-        let check = |pairs: u64| {
-            Limits::check(Limit::TilePairs, pairs, tile_pairs)?;
-            let work = pairs.saturating_mul(PAIR_WORK);
-            Limits::check(Limit::Work, work, max_work)?;
-            Limits::check(Limit::Work, work.saturating_add(layer_work), all_work)
+        let max_pairs = MaxPairs {
+            pairs: self.limits.tile_pairs,
+            work: self.limits.max_work(u64::from(base.width) * u64::from(base.height), self.count.into()),
+            all_work: self.limits.work,
+            layer_work: layer.as_ref().map_or(0, Layer::work),
         };
         let mut first = 0;
         let mut pairs = 0u64;
@@ -364,28 +350,13 @@ impl Renderer {
             self.prepare(grid)?;
             let stage = self.stage.as_ref().expect("just prepared");
             // A band with more pairs than the limit allows is not rendered.
-            let left = u32::try_from(most_pairs - pairs).unwrap_or(u32::MAX);
+            let left = u32::try_from(max_pairs.allowed() - pairs).unwrap_or(u32::MAX);
             let band = Uniforms { capacity: self.capacity.min(left), ..base }.band(first * base.down, rows * base.down);
-            let modes = [0, 1, format as u32].map(|mode| Uniforms { mode, ..band });
-            self.device.scoped(|| {
-                let (d, queue) = self.device.wgpu();
-                let kernels = self.device.kernels();
-                self.device.write(&stage.uniforms, &spaced(&modes));
-                if let Some(layer) = &mut layer {
-                    self.device.write(&stage.additions, layer.additions(first..first + rows));
-                }
-                let mut encoder = d.create_command_encoder(&Default::default());
-                encoder.clear_buffer(&stage.lists.status, 0, None);
-                stage.lists.project(kernels, &mut encoder, 0, u64::from(self.count));
-                stage.lists.fill(kernels, &mut encoder, 0, &band);
-                let mut pass = encoder.begin_compute_pass(&Default::default());
-                kernels.render.groups(&mut pass, &stage.render, 2, band.tiles());
-                drop(pass);
-                queue.submit([encoder.finish()]);
-            })?;
+            let additions = layer.as_mut().map(|layer| layer.additions(first..first + rows));
+            self.submit(stage, &band, format, additions)?;
             let [found, missing, ..] = stage.lists.status(&self.device)?;
             if missing > 0 {
-                check(pairs + u64::from(missing))?;
+                max_pairs.check(pairs + u64::from(missing))?;
                 self.grow_lists(missing, tall)?;
                 continue;
             }
@@ -394,6 +365,27 @@ impl Renderer {
             first += rows;
         }
         Ok(())
+    }
+
+    /// Submits the commands that render `band` into the codes of `stage`, with the layer's `additions` to its pixels.
+    fn submit(&self, stage: &Canvas, band: &Uniforms, format: Format, additions: Option<&[f32]>) -> Result<()> {
+        let modes = [0, 1, format as u32].map(|mode| Uniforms { mode, ..*band });
+        self.device.scoped(|| {
+            let (d, queue) = self.device.wgpu();
+            let kernels = self.device.kernels();
+            self.device.write(&stage.uniforms, &spaced(&modes));
+            if let Some(additions) = additions {
+                self.device.write(&stage.additions, additions);
+            }
+            let mut encoder = d.create_command_encoder(&Default::default());
+            encoder.clear_buffer(&stage.lists.status, 0, None);
+            stage.lists.project(kernels, &mut encoder, 0, u64::from(self.count));
+            stage.lists.fill(kernels, &mut encoder, 0, band);
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            kernels.render.groups(&mut pass, &stage.render, 2, band.tiles());
+            drop(pass);
+            queue.submit([encoder.finish()]);
+        })
     }
 
     /// Makes the lists longer, or the bands lower if the lists have their maximum length. `tall` is the height of a
@@ -431,5 +423,43 @@ impl Renderer {
         })?;
         self.stage = Some(stage);
         Ok(())
+    }
+}
+
+/// Returns the maximum number of output rows of a band: whole rows of tiles of `tall` rows each whose codes fit into a
+/// binding, or as many rows as additions are held for.
+fn most_rows(base: &Uniforms, tall: u32, layer: Option<&Layer>) -> Result<u32> {
+    let row = u64::from(base.stride) * u64::from(tall) * 4;
+    let most = (MAX_BINDING / row).min(MAX_TILES / u64::from(base.tiles_x)) as u32 * tall;
+    if most == 0 {
+        let (what, requested) = ("bytes in a row of tiles", row);
+        return Err(GpuError::Overflow { what, requested, allowed: MAX_BINDING }.into());
+    }
+    layer.map_or(Ok(most), |layer| Ok(most.min(layer.most_rows()?)))
+}
+
+/// Limits of the (Gaussian, tile) pairs of a view.
+struct MaxPairs {
+    pairs: u64,
+    /// Work of all pairs.
+    work: u64,
+    /// Work of the pairs and the layer.
+    all_work: u64,
+    layer_work: u64,
+}
+
+impl MaxPairs {
+    /// Returns the number of pairs that the limits allow.
+    fn allowed(&self) -> u64 {
+        self.pairs.min(self.work.min(self.all_work - self.layer_work) / PAIR_WORK)
+    }
+
+    /// # Errors
+    /// [`Error::LimitExceeded`] if the limits do not allow this number of pairs.
+    fn check(&self, pairs: u64) -> Result<()> {
+        Limits::check(Limit::TilePairs, pairs, self.pairs)?;
+        let work = pairs.saturating_mul(PAIR_WORK);
+        Limits::check(Limit::Work, work, self.work)?;
+        Limits::check(Limit::Work, work.saturating_add(self.layer_work), self.all_work)
     }
 }

@@ -56,8 +56,8 @@ pub(super) struct Uniforms {
     pub price: f32,
     pub weighted: u32,
     pub detail: u32,
-    /// Padding to a multiple of 16 bytes.
-    pub spare: u32,
+    /// Number of primitives at the end of the list that do not move.
+    pub frozen: u32,
 }
 
 /// Value of [`Uniforms::alpha`] for pictures without alpha.

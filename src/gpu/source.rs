@@ -5,7 +5,8 @@ use super::lists::MAX_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
 use crate::fit::model::objective::planes::Planes;
-use crate::pixels::{Depth, Pixels, Samples};
+use crate::parallel;
+use crate::pixels::Depth;
 
 /// The target on the device.
 #[derive(Debug)]
@@ -69,63 +70,46 @@ pub(super) fn words(target: &Planes, depth: Depth) -> u32 {
     depth.bytes() as u32 + u32::from(!target.amplitude.is_empty())
 }
 
-/// Packs rows `first..end` of a target that does not consist of whole code values, in the format of [`pack`].
-pub(super) fn pack_target(target: &Planes, depth: Depth, first: u32, end: u32) -> Vec<u32> {
-    let count = target.channels.count();
+/// Packs rows `first..end` of `target`, rounded to code values of `depth`. A pixel has four channels, in one word with 8
+/// bits per sample and two with 16, and another word with the amplitude of its error as a float, if there is one.
+pub(super) fn pack(target: &Planes, depth: Depth, first: u32, end: u32) -> Vec<u32> {
+    let (count, width, each) = (target.channels.count(), target.width as usize, words(target, depth) as usize);
     let white = f32::from(depth.max());
-    let mut out = Vec::with_capacity((end - first) as usize * (target.width * words(target, depth)) as usize);
-    for y in first..end {
+    let mut out = vec![0; (end - first) as usize * width * each];
+    parallel::map_chunks(&mut out, (width * each).max(1), |i, out| {
+        let y = first + i as u32;
         let (row, amplitude) = (target.row(y), target.amplitude(y));
-        for x in 0..target.width as usize {
+        for (x, out) in out.chunks_exact_mut(each).enumerate() {
             let code = |k: usize| {
                 if k < count { (row[k * target.stride + x].clamp(0.0, 1.0) * white + 0.5) as u32 } else { 0 }
             };
             match depth {
-                Depth::Eight => out.push(code(0) | code(1) << 8 | code(2) << 16 | code(3) << 24),
-                Depth::Sixteen => out.extend([code(0) | code(1) << 16, code(2) | code(3) << 16]),
+                Depth::Eight => out[0] = code(0) | code(1) << 8 | code(2) << 16 | code(3) << 24,
+                Depth::Sixteen => [out[0], out[1]] = [code(0) | code(1) << 16, code(2) | code(3) << 16],
             }
-            out.extend(amplitude.map(|a| a[x].to_bits()));
+            if let Some(a) = amplitude {
+                out[each - 1] = a[x].to_bits();
+            }
         }
-    }
+    });
     out
 }
 
-/// Packs rows `first..end` of the target, whose samples are `pixels`. A pixel has four channels, in one word with 8
-/// bits per sample and two with 16, and another word with the amplitude of its error as a float, if there is one.
-pub(super) fn pack(pixels: &Pixels, target: &Planes, first: u32, end: u32) -> Vec<u32> {
-    let samples = pack_samples(pixels, first, end);
-    if target.amplitude.is_empty() {
-        return samples;
-    }
-    let each = pixels.depth().bytes();
-    let width = pixels.width() as usize;
-    let mut out = Vec::with_capacity(samples.len() / each * (each + 1));
-    for (y, row) in (first..end).zip(samples.chunks_exact(width * each)) {
-        let amplitude = target.amplitude(y).expect("one for each row");
-        for (words, a) in row.chunks_exact(each).zip(amplitude) {
-            out.extend_from_slice(words);
-            out.push(a.to_bits());
-        }
-    }
-    out
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Channels;
+    use crate::pixels::{Pixels, Samples};
 
-/// Packs the samples alone.
-fn pack_samples(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
-    let count = pixels.channels().count();
-    let row = pixels.width() as usize * count;
-    let range = first as usize * row..end as usize * row;
-    match pixels.samples() {
-        Samples::U8(v) => v[range]
-            .chunks_exact(count)
-            .map(|p| p.iter().enumerate().fold(0, |word, (k, &s)| word | u32::from(s) << (8 * k)))
-            .collect(),
-        Samples::U16(v) => v[range]
-            .chunks_exact(count)
-            .flat_map(|p| {
-                let s = |k: usize| p.get(k).map_or(0, |&s| u32::from(s));
-                [s(0) | s(1) << 16, s(2) | s(3) << 16]
-            })
-            .collect(),
+    #[test]
+    fn all_code_values_are_packed_exactly() {
+        let all = Samples::U8((0..=255).collect());
+        let target = Planes::new(&Pixels::new(64, 1, Channels::Rgba, all).unwrap());
+        let want: Vec<u32> = (0..64).map(|i| u32::from_le_bytes([4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3])).collect();
+        assert_eq!(pack(&target, Depth::Eight, 0, 1), want);
+        let all = Samples::U16((0..=u16::MAX).collect());
+        let target = Planes::new(&Pixels::new(256, 256, Channels::Grey, all).unwrap());
+        let want: Vec<u32> = (256 * 5..256 * 256).flat_map(|code| [code, 0]).collect();
+        assert_eq!(pack(&target, Depth::Sixteen, 5, 256), want);
     }
 }

@@ -64,7 +64,7 @@ fn structs_have_the_same_layout_on_both_sides() {
         max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, longest, primitives, capacity,
         width, height, across, down, row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend,
         channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, price, weighted,
-        detail, spare);
+        detail, frozen);
     assert_eq!(scene, rust);
     assert_eq!(size as usize, size_of::<Uniforms>());
     assert!(size <= Uniforms::STRIDE);
@@ -145,13 +145,13 @@ fn running_out_of_memory_is_reported_before_its_consequences() {
     assert!(cause([None, None, None]).is_none());
 }
 
-mod stages {
+pub(super) mod stages {
     //! Compares each stage with its twin on any adapter. Without an adapter the tests print a message, or fail with
     //! `SSPLAT_REQUIRE_GPU=1`.
 
     use super::super::device::{Adapters, Device};
     use super::super::fit::{Fitter, packed};
-    use super::super::peaks::Found;
+    use super::super::peaks::{Found, Peaks};
     use super::super::renderer::Renderer;
     use super::super::scene::{Primitive, Splat, Uniforms};
     use super::super::source::pack;
@@ -172,14 +172,14 @@ mod stages {
     use crate::fit::schedule;
     use crate::fit::state::State;
     use crate::gaussian::{Blend, Channels};
-    use crate::pixels::{Pixels, Samples};
+    use crate::pixels::{Depth, Pixels, Samples};
     use crate::raster::Overlay;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
     use std::io::Write;
     use std::sync::{Arc, OnceLock};
 
-    fn device() -> Option<Device> {
+    pub(in crate::gpu) fn device() -> Option<Device> {
         static DEVICE: OnceLock<Result<Device, String>> = OnceLock::new();
         match DEVICE.get_or_init(|| Device::open(Adapters::Any).map_err(|e| e.to_string())) {
             Ok(device) => Some(device.clone()),
@@ -199,7 +199,8 @@ mod stages {
         Some(Device::open(Adapters::Any).unwrap())
     }
 
-    const RATES: Rates = Rates { mean: 0.1, log_scale: 0.1, rotation: 0.1, color: 0.01, decay: [0.9, 0.95] };
+    pub(in crate::gpu) const RATES: Rates =
+        Rates { mean: 0.1, log_scale: 0.1, rotation: 0.1, color: 0.01, decay: [0.9, 0.95] };
 
     /// Waves and an edge, which give detail at all scales.
     fn pixels(width: u32, height: u32, channels: Channels, sixteen: bool) -> Pixels {
@@ -222,7 +223,7 @@ mod stages {
         Pixels::new(width, height, channels, samples).unwrap()
     }
 
-    fn primitives(width: u32, height: u32, count: usize) -> Vec<Free> {
+    pub(in crate::gpu) fn primitives(width: u32, height: u32, count: usize) -> Vec<Free> {
         let mut r = Pcg64Mcg::seed_from_u64(count as u64);
         let one = |_| Free {
             mean: [r.random_range(0.0..width as f32), r.random_range(0.0..height as f32)],
@@ -242,7 +243,7 @@ mod stages {
     }
 
     /// Returns the target's planes, with perceptual weights of its errors if requested, which differ everywhere.
-    fn planes(pixels: &Pixels, weighted: bool) -> Planes {
+    pub(in crate::gpu) fn planes(pixels: &Pixels, weighted: bool) -> Planes {
         let mut target = Planes::new(pixels);
         if weighted {
             target.amplitude = masking::amplitudes(&target, 90);
@@ -261,7 +262,7 @@ mod stages {
             p.color[channels.count()..].fill(0.0);
         }
         let problem = Problem { scene, target: &target };
-        let fitter = Fitter::new(device, &problem, &pixels, &free, &Bounds::new(width, height)).unwrap();
+        let fitter = Fitter::new(device, &problem, pixels.depth(), &free, &Bounds::new(width, height)).unwrap();
         Case { pixels, target, scene, free, fitter }
     }
 
@@ -356,7 +357,7 @@ mod stages {
             assert_eq!(sorted, got.sorted);
             assert_eq!(lists, sorted, "one thread after the other makes sorted lists");
 
-            let source = pack(&c.pixels, &c.target, 0, c.scene.height);
+            let source = pack(&c.target, c.pixels.depth(), 0, c.scene.height);
             let mut planes = vec![[0.0; 4]; got.planes.len()];
             let (mut tails, mut errors) = (vec![0.0; got.tails.len()], vec![0.0; tiles]);
             let mut out = twin::forward::Output { planes: &mut planes, tails: &mut tails, errors: &mut errors };
@@ -396,7 +397,7 @@ mod stages {
                 p.color[3] = 0.0;
             }
             let mut cpu = State::new(free, bounds);
-            let mut gpu = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &bounds).unwrap();
+            let mut gpu = Fitter::new(&device, &problem, pixels.depth(), &cpu.primitives, &bounds).unwrap();
             // As large as the gradients.
             cpu.price = 1.0;
             gpu.set_price(cpu.price);
@@ -433,7 +434,7 @@ mod stages {
             p.color[3] = 0.0;
         }
         let mut cpu = State::new(free, bounds);
-        let mut gpu = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &bounds).unwrap();
+        let mut gpu = Fitter::new(&device, &problem, pixels.depth(), &cpu.primitives, &bounds).unwrap();
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-3, "{a} {b}");
         // The order of both is the same as long as nothing is sorted in between.
         gpu.zoom(&half, 0.5).unwrap();
@@ -470,21 +471,21 @@ mod stages {
             let [old, new] = [&before, &after].map(|target| Problem { scene, target });
             let free = primitives(width, height, 90);
             let stepped = |first: &Problem<'_>| {
-                let mut gpu = Fitter::new(&device, first, &pixels, &free, &bounds).unwrap();
+                let mut gpu = Fitter::new(&device, first, pixels.depth(), &free, &bounds).unwrap();
                 gpu.reweigh(&new).unwrap();
                 // Adam's first step depends on the signs alone; the second depends on the magnitudes.
                 gpu.descend(&new, RowSet::ALL, RATES).unwrap();
                 gpu.descend(&new, RowSet { step: 2, phase: 1 }, RATES).unwrap();
                 gpu.primitives().unwrap()
             };
-            let mut only = Fitter::new(&device, &old, &pixels, &free, &bounds).unwrap();
+            let mut only = Fitter::new(&device, &old, pixels.depth(), &free, &bounds).unwrap();
             only.descend(&old, RowSet::ALL, RATES).unwrap();
             only.descend(&old, RowSet { step: 2, phase: 1 }, RATES).unwrap();
             assert_eq!(stepped(&old), stepped(&new), "{sixteen}");
             assert_ne!(stepped(&old), only.primitives().unwrap(), "{sixteen}");
             // Existing buffers must get the new weights, too.
             let under_way = |then: Option<&Problem<'_>>| {
-                let mut gpu = Fitter::new(&device, &old, &pixels, &free, &bounds).unwrap();
+                let mut gpu = Fitter::new(&device, &old, pixels.depth(), &free, &bounds).unwrap();
                 gpu.descend(&old, RowSet::ALL, RATES).unwrap();
                 if let Some(new) = then {
                     gpu.reweigh(new).unwrap();
@@ -511,7 +512,8 @@ mod stages {
         }
         for rows in [RowSet::ALL, RowSet { step: 2, phase: 1 }] {
             let run = |binding: u64, heights: [u32; 2]| {
-                let mut gpu = Fitter::within(&device, &problem, &pixels, &state.primitives, &bounds, binding).unwrap();
+                let mut gpu =
+                    Fitter::within(&device, &problem, pixels.depth(), &state.primitives, &bounds, binding).unwrap();
                 assert_eq!(gpu.sizes()[..2], heights);
                 let error = gpu.error(&problem).unwrap();
                 // Adam's first step depends on the signs of the sums alone; the second depends on their magnitudes.
@@ -531,6 +533,71 @@ mod stages {
         }
     }
 
+    /// Returns the uniforms of a survey of `rows`, every second row of 8-bit RGB, in a single band.
+    fn survey_uniforms(problem: &Problem<'_>, rows: RowSet, count: usize) -> Uniforms {
+        let Problem { scene, target } = problem;
+        let weighted = u32::from(!target.amplitude.is_empty());
+        let view = crate::raster::View::of_size(scene.width, scene.height);
+        let cells_y = rows.count(scene.height) as u32;
+        let base = Uniforms {
+            primitives: count as u32,
+            row_step: rows.step,
+            cell: rows.step,
+            source_words: 1 + weighted,
+            weighted,
+            cells_x: scene.width.div_ceil(rows.step),
+            cells_y,
+            channel_amplitude: target.channel_amplitude,
+            ..Uniforms::new(&view, scene.blend, Channels::Rgb, scene.background, 0)
+        };
+        base.band(0, cells_y)
+    }
+
+    /// Asserts that the stages of a survey agree with their twins: importance and residual. Returns the cells.
+    fn assert_survey_agrees(
+        base: &Uniforms,
+        (d, s, p): (&Device, &Workspace, &Peaks),
+        source: &[u32],
+    ) -> Vec<[f32; 4]> {
+        let tiles = base.tiles() as usize;
+        let starts: Vec<u32> = d.read_as(&s.lists.starts, tiles + 1).unwrap();
+        let sorted: Vec<u32> = d.read_as(&s.lists.sorted, starts[tiles] as usize).unwrap();
+        let splats: Vec<Splat> = d.read_as(&s.lists.splats, base.primitives as usize).unwrap();
+        let pixels = (base.width * base.band_rows) as usize;
+        let planes: Vec<[f32; 4]> = d.read_as(&s.planes, pixels).unwrap();
+        let tails: Vec<f32> = d.read_as(&s.tails, pixels).unwrap();
+        let got: Vec<[f32; 4]> = d.read_as(&s.slots, 3 * sorted.len()).unwrap();
+        let mut slots = vec![[0.0; 4]; got.len()];
+        twin::importance::importance(base, &splats, &starts, &sorted, (&planes, &tails), source, &mut slots);
+        assert_near("importance", bytemuck::cast_slice(&got), bytemuck::cast_slice(&slots));
+        let mut cells = vec![[0.0; 4]; (base.cells_x * base.cells_y) as usize];
+        twin::residual::residual(base, &planes, source, &mut cells);
+        let got: Vec<[f32; 4]> = d.read_as(&p.cells[0], cells.len()).unwrap();
+        assert_near("residual", bytemuck::cast_slice(&got), bytemuck::cast_slice(&cells));
+        got
+    }
+
+    /// Asserts that the peaks of the first level in `all` are those that the twins find in `cells`, stage by stage.
+    fn assert_first_level_agrees(base: &Uniforms, spacing: f32, cells: Vec<[f32; 4]>, all: &[(peaks::Peak, u32)]) {
+        let mut blurred = cells;
+        for _ in 0..2 {
+            blurred = twin::blur::blur(base, &blurred);
+            blurred = twin::blur::blur(&Uniforms { mode: 1, ..*base }, &blurred);
+        }
+        let mut found: Vec<Found> = Vec::new();
+        let longest = ridge::max_aspect(spacing, 8.0f32.sqrt());
+        let level = Uniforms { variance: 8.0, longest, ..*base };
+        twin::peaks::find_peaks(&level, &blurred, &ridge::all(), &mut found);
+        let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
+        let mut twins: Vec<f32> = found.iter().map(|f| 4.0 * std::f32::consts::PI * 8.0 * f.shape().score).collect();
+        first.sort_by(f32::total_cmp);
+        twins.sort_by(f32::total_cmp);
+        assert_near("peaks", &first, &twins);
+        // Level 1 starts in the second buffer; later levels alternate.
+        let halved = twin::halve::halve(base, &blurred);
+        assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
+    }
+
     #[test]
     fn surveys_agree_with_their_twins_and_with_the_cpu() {
         let Some(device) = device() else { return };
@@ -546,75 +613,18 @@ mod stages {
             let error = field.draw(&problem, &projected, rows, Output::Picture);
             let costs = removal::costs(&problem, &field, rows, &projected);
             let want = peaks::peaks(&problem, &field, rows, 12, count);
-            let source = pack(&c.pixels, &target, 0, c.scene.height);
-            let (scene, background) = (c.scene, c.scene.background);
             let found = c
                 .fitter
                 .inspect_survey(rows, |d, s, survey, p| {
                     assert!((survey.error / error - 1.0).abs() < 1e-4, "{} {error}", survey.error);
                     assert_near("costs", &survey.costs, &costs);
-                    let view = crate::raster::View::of_size(scene.width, scene.height);
-                    let base = Uniforms {
-                        primitives: count as u32,
-                        row_step: 2,
-                        cell: 2,
-                        source_words: 1 + u32::from(weighted),
-                        weighted: weighted.into(),
-                        cells_x: scene.width.div_ceil(2),
-                        cells_y: rows.count(scene.height) as u32,
-                        channel_amplitude: target.channel_amplitude,
-                        ..Uniforms::new(&view, blend, Channels::Rgb, background, 0)
-                    }
-                    .band(0, rows.count(scene.height) as u32);
-                    let tiles = base.tiles() as usize;
-                    let starts: Vec<u32> = d.read_as(&s.lists.starts, tiles + 1).unwrap();
-                    let sorted: Vec<u32> = d.read_as(&s.lists.sorted, starts[tiles] as usize).unwrap();
-                    let splats: Vec<Splat> = d.read_as(&s.lists.splats, count).unwrap();
-                    let pixels = (base.width * base.band_rows) as usize;
-                    let planes: Vec<[f32; 4]> = d.read_as(&s.planes, pixels).unwrap();
-                    let tails: Vec<f32> = d.read_as(&s.tails, pixels).unwrap();
-                    let got: Vec<[f32; 4]> = d.read_as(&s.slots, 3 * sorted.len()).unwrap();
-                    let mut slots = vec![[0.0; 4]; got.len()];
-                    twin::importance::importance(
-                        &base,
-                        &splats,
-                        &starts,
-                        &sorted,
-                        (&planes, &tails),
-                        &source,
-                        &mut slots,
-                    );
-                    assert_near("importance", bytemuck::cast_slice(&got), bytemuck::cast_slice(&slots));
-                    let mut cells = vec![[0.0; 4]; (base.cells_x * base.cells_y) as usize];
-                    twin::residual::residual(&base, &planes, &source, &mut cells);
-                    let got: Vec<[f32; 4]> = d.read_as(&p.cells[0], cells.len()).unwrap();
-                    assert_near("residual", bytemuck::cast_slice(&got), bytemuck::cast_slice(&cells));
-                    // The first level of the search, stage by stage, with the twins.
-                    let mut blurred = got;
-                    for _ in 0..2 {
-                        blurred = twin::blur::blur(&base, &blurred);
-                        blurred = twin::blur::blur(&Uniforms { mode: 1, ..base }, &blurred);
-                    }
-                    let mut found: Vec<Found> = Vec::new();
-                    let ridges = ridge::all();
-                    let longest = ridge::max_aspect(peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
-                    twin::peaks::find_peaks(
-                        &Uniforms { variance: 8.0, longest, ..base },
-                        &blurred,
-                        &ridges,
-                        &mut found,
-                    );
-                    let all = p.find(d, &base, rows, peaks::spacing(&scene, 12, count), 0.0).unwrap();
-                    let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
-                    let mut twins: Vec<f32> =
-                        found.iter().map(|f| 4.0 * std::f32::consts::PI * 8.0 * f.shape().score).collect();
-                    first.sort_by(f32::total_cmp);
-                    twins.sort_by(f32::total_cmp);
-                    assert_near("peaks", &first, &twins);
-                    let halved = twin::halve::halve(&base, &blurred);
-                    // Level 1 starts in the second buffer; later levels alternate.
-                    assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
-                    peaks::best(all, 12, &scene)
+                    let base = survey_uniforms(&problem, rows, count);
+                    let cells = assert_survey_agrees(&base, (d, s, p), &pack(&target, Depth::Eight, 0, base.height));
+                    // Overwrites the cells.
+                    let spacing = peaks::spacing(&problem.scene, 12, count);
+                    let all = p.find(d, &base, rows, spacing, 0.0).unwrap();
+                    assert_first_level_agrees(&base, spacing, cells, &all);
+                    peaks::best(all, 12, &problem.scene)
                 })
                 .unwrap();
             assert_eq!(found.len(), want.len());
@@ -793,7 +803,7 @@ mod stages {
             }
             let target = Planes::new(&pixels);
             let problem = Problem { scene, target: &target };
-            let fitter = Fitter::new(&device, &problem, &pixels, &free, &Bounds::new(width, height)).unwrap();
+            let fitter = Fitter::new(&device, &problem, pixels.depth(), &free, &Bounds::new(width, height)).unwrap();
             let mut c = Case { pixels, target, scene, free, fitter };
             let got = c.fitter.inspect(RowSet::ALL, RATES, left).unwrap();
             let mut worst = 0.0f64;
@@ -855,21 +865,26 @@ mod stages {
     }
 
     /// Returns `count` primitives whose density follows the detail.
-    fn scattered(target: &Planes, count: usize, seed: u64) -> State {
+    pub(in crate::gpu) fn scattered(target: &Planes, count: usize, seed: u64) -> State {
         let primitives = sample::by_detail(target, count, &mut Pcg64Mcg::seed_from_u64(seed));
         State::new(primitives, Bounds::new(target.width, target.height))
     }
 
-    fn decibels(error: f64, pixels: &Pixels) -> f64 {
+    pub(in crate::gpu) fn decibels(error: f64, pixels: &Pixels) -> f64 {
         let samples = pixels.width() as usize * pixels.height() as usize * pixels.channels().count();
         -10.0 * (error / samples as f64).log10()
     }
 
     /// A photograph, because the first steps of fits to smooth drawings are chaotic and do not tell anything.
     fn photograph() -> Pixels {
-        let photo = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/kodim05.png")).unwrap().to_rgb8();
-        let part = image::imageops::crop_imm(&photo, 300, 200, 192, 128).to_image();
-        Pixels::new(192, 128, Channels::Rgb, Samples::U8(part.into_raw())).unwrap()
+        crop("kodim05", [300, 200], [192, 128])
+    }
+
+    /// Returns a part of a photograph.
+    pub(in crate::gpu) fn crop(name: &str, [x, y]: [u32; 2], [width, height]: [u32; 2]) -> Pixels {
+        let path = format!("{}/tests/images/{name}.png", env!("CARGO_MANIFEST_DIR"));
+        let part = image::imageops::crop_imm(&image::open(path).unwrap().to_rgb8(), x, y, width, height).to_image();
+        Pixels::new(width, height, Channels::Rgb, Samples::U8(part.into_raw())).unwrap()
     }
 
     /// Fits `count` primitives in `steps` steps. Returns the PSNR on the CPU, and the difference of the GPU's to it,
@@ -883,7 +898,7 @@ mod stages {
         let mut cpu = scattered(&target, count, seed);
         let start = cpu.primitives.clone();
         let gpu = || {
-            let mut fitter = Fitter::new(device, &problem, &pixels, &start, &Bounds::new(192, 128)).unwrap();
+            let mut fitter = Fitter::new(device, &problem, pixels.depth(), &start, &Bounds::new(192, 128)).unwrap();
             fitted(&mut fitter, problem, &plan);
             let error = fitter.error(&problem).unwrap();
             (fitter.primitives().unwrap(), error)
@@ -902,7 +917,7 @@ mod stages {
     }
 
     /// Returns the mean of `values` and its standard error.
-    fn mean(values: &[f64]) -> (f64, f64) {
+    pub(in crate::gpu) fn mean(values: &[f64]) -> (f64, f64) {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         (mean, (values.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt())

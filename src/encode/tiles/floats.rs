@@ -1,5 +1,9 @@
 //! The float fit of a tile: first alone, then together with the primitives around it.
 
+use std::ops::Range;
+
+use rand_pcg::Pcg64Mcg;
+
 use super::global::GlobalContext;
 use super::grid::{Shift, Window};
 use super::mosaic::{Placed, TileResult, WindowPrimitives};
@@ -43,7 +47,7 @@ pub(super) fn begin(
     let problem = Problem { scene: global.scene(&window.padded), target: &target };
     let (count, plan) = (global.count_of(&target), global.plan_of(window));
     let job = Job { problem, count, plan: &plan };
-    let Start { mut state, rng, from } = multi_start::scattered(&target, count, &plan);
+    let Start { state, rng, from } = multi_start::scattered(&target, count, &plan);
     let price = Some(Price {
         problem,
         draft: global.draft(&window.padded),
@@ -51,8 +55,23 @@ pub(super) fn begin(
     });
     let mut watcher =
         TileFitWatcher { on_progress, from: 0.0, to: ALONE, price: price.filter(|_| global.settings.is_priced) };
-    schedule::run(&job, &mut state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
+    let state = steps(global, &job, state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
     Ok(appraise(&problem, &state.primitives, window))
+}
+
+/// Takes steps from `state` on, on the device that fits.
+fn steps(
+    global: &GlobalContext<'_>,
+    job: &Job<'_>,
+    mut state: State,
+    schedule: (Pcg64Mcg, Range<u32>),
+    watcher: &mut dyn Watcher,
+) -> Result<State> {
+    if let Some(device) = global.device {
+        return device.steps(job, global.source.depth(), state, schedule, watcher);
+    }
+    schedule::run(job, &mut state, schedule, watcher)?;
+    Ok(state)
 }
 
 fn share(of: f32, iterations: u32) -> u32 {
@@ -97,7 +116,8 @@ pub(super) fn join(
     let to = JOINED[pass].0;
     let mut watcher = TileFitWatcher { on_progress, from, to, price: None };
     let rng = multi_start::random(&plan);
-    schedule::run(&job, &mut state, (rng, share(from, plan.iterations)..share(to, plan.iterations)), &mut watcher)?;
+    let range = share(from, plan.iterations)..share(to, plan.iterations);
+    let mut state = steps(global, &job, state, (rng, range), &mut watcher)?;
     state.keep_best()?;
     let all = [&state.primitives[..], &state.frozen].concat();
     let error = error_within(&problem, &project::all(&all, problem.scene.height), window.own(), Output::Picture);

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::grid::{Area, Window};
 use crate::bitstream::splats::{Metadata, PackedSplats};
+use crate::encode::device::Choice;
 use crate::error::Result;
 use crate::fit::model::objective::masking::{self, Means};
 use crate::fit::model::objective::planes::Planes;
@@ -46,6 +47,8 @@ pub(super) struct GlobalContext<'a> {
     pub weights: Weights,
     /// Sum of the detail of all tiles.
     pub detail: f64,
+    /// The device that fits; `None` means the CPU.
+    pub device: Option<&'a Choice>,
 }
 
 /// Weights of errors, with the statistics of the whole picture that they depend on.
@@ -112,7 +115,7 @@ impl Survey {
             }
         }
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
-        Ok(GlobalContext { source, scene, settings, blank, weights, detail })
+        Ok(GlobalContext { source, scene, settings, blank, weights, detail, device: None })
     }
 }
 

@@ -23,7 +23,7 @@ use std::time::Duration;
 
 use super::clock::Clock;
 use super::constant::constant;
-use super::device::Chosen;
+use super::device::{Choice, Chosen};
 use super::drawn::drawn_part;
 use super::hidden::InpaintedSource;
 use super::input::{self, may_leave_out};
@@ -48,7 +48,7 @@ use crate::fit::model::problem::Scene;
 use crate::fit::plan::fraction;
 use crate::gaussian::{Blend, Channels};
 use crate::instant::Instant;
-use crate::options::{Backend, EncodeOptions, HiddenColors, Recipe};
+use crate::options::{EncodeOptions, HiddenColors, Recipe};
 use crate::parallel;
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
@@ -100,6 +100,7 @@ pub(super) fn encode(
     mut report: ReportBuilder<'_>,
 ) -> Result<Encoded> {
     check(options)?;
+    let device = &Choice::for_tiles(options, source.size(), &executor)?;
     let clock = Clock::new(options.time);
     let start = report.seconds();
     let inpainted = InpaintedSource::new(source, options.hidden, || report.stage_progress("survey", 0.0))?;
@@ -117,7 +118,8 @@ pub(super) fn encode(
     let blend = options.blend.unwrap_or(Blend::Normalized);
     let blank = input::empty(source.size(), (narrowed.channels(), source.depth()), blend, options);
     let kept = None;
-    run(TiledSession { options, source, fitted_source: &narrowed, side, blank, windows, executor, clock, report, kept })
+    let fitted_source = &narrowed;
+    run(TiledSession { options, source, fitted_source, device, side, blank, windows, executor, clock, report, kept })
 }
 
 /// Returns an error if `options` ask for something that tiles do not support.
@@ -126,7 +128,6 @@ pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     match options {
         o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
         o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles"),
-        o if o.backend == Backend::Gpu => bad("tiles are fitted on the CPU"),
         _ => Ok(()),
     }
 }
@@ -149,6 +150,8 @@ struct TiledSession<'a, 'b, 'c> {
     source: &'b dyn PixelSource,
     /// The picture without its constant channels.
     fitted_source: &'b dyn PixelSource,
+    /// The device that fits the tiles.
+    device: &'b Choice,
     /// Side of the tiles, pixels.
     side: u32,
     /// The file of the picture in `fitted_source`, without primitives.
@@ -176,7 +179,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
     }
 
     fn chosen(&self) -> Chosen {
-        Chosen::for_tiles(self.options.backend)
+        self.device.chosen().clone()
     }
 
     fn channels(&self) -> Channels {
@@ -306,7 +309,8 @@ impl TiledSession<'_, '_, '_> {
         let survey = Survey { scene, blank, settings, tune: options.favoured() };
         let fitted_grid = grid_of(&scene, count, self.side);
         let report = &mut self.report;
-        let global = survey.of(&small, &fitted_grid.windows(), |done| report.stage_progress("survey", done))?;
+        let mut global = survey.of(&small, &fitted_grid.windows(), |done| report.stage_progress("survey", done))?;
+        global.device = Some(self.device);
         report.stage("survey", clock);
         let until = time.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
         let mut fit = TiledFit { session: self, grid: fitted_grid, global, metadata, size, limit, fixed, until };

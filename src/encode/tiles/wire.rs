@@ -380,7 +380,7 @@ fn read_context<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, pixels: &'a Task
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
     let hidden = if keeps_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
     let settings = TileSettings { effort, count, is_priced, is_base, sufficient_error, seed, hidden, seconds };
-    Ok(GlobalContext { source: pixels, scene, settings, blank, weights, detail })
+    Ok(GlobalContext { source: pixels, scene, settings, blank, weights, detail, device: None })
 }
 
 fn read_window(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {

@@ -102,8 +102,8 @@ pub(crate) enum Freedom {
 /// First and second moments of one primitive's gradient.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct AdamMoments {
-    first: [f32; 9],
-    second: [f32; 9],
+    pub first: [f32; 9],
+    pub second: [f32; 9],
 }
 
 /// Returns the divisors that correct the bias of the moments at step `iteration`, counted from 0.

@@ -37,7 +37,7 @@ pub(in crate::gpu) fn adam(
     first: &mut [f32],
     second: &mut [f32],
 ) {
-    for i in 0..scene.primitives as usize {
+    for i in 0..(scene.primitives - scene.frozen) as usize {
         let p = &mut primitives[9 * i..9 * i + 9];
         let mut gradient = gradient(scene, p, moments, i);
         let s1 = p[2].exp();
