@@ -394,7 +394,7 @@ mod tests {
     fn every_late_state_of_a_small_picture_is_remembered_by_every_engine() {
         let (own, asked) = (recorded::<true>(128), recorded::<false>(128));
         assert!(own.iter().map(|s| s.0).eq(asked.iter().map(|s| s.0)), "both take the same steps");
-        assert_eq!(own.iter().filter(|s| s.0 == RowSet::ALL).count(), 5);
+        assert_eq!(own.iter().filter(|s| s.0 == RowSet::ALL).count(), 20);
         for (i, (own, asked)) in own.iter().zip(&asked).enumerate() {
             assert_eq!(asked.1, i >= 80, "step {i}");
             assert_eq!(own.1 || own.0 == RowSet::ALL, i >= 80, "step {i}");
