@@ -147,9 +147,9 @@ impl Encoder {
     }
 
     /// Sets the side of the tiles in which a picture is fitted, in pixels: a multiple of 128 up to 16384. Tiles bound
-    /// the memory of an encode. They require the CPU and [`Layout::Coded`]. By default, pictures of more than 2²⁵
-    /// pixels are fitted in tiles of 2048 unless the layout excludes tiles or a GPU is used, pictures of more than 2²⁸
-    /// pixels always, and all others as a whole. With tiles, a [`Target::Quality`] applies to the mean of the tiles'
+    /// the memory of an encode. They require [`Layout::Coded`]. By default, pictures of more than 2²⁵ pixels are fitted
+    /// in tiles of 2048 unless the layout excludes tiles or a GPU is used, pictures of more than 2²⁸ pixels always, and
+    /// all others as a whole. With tiles, a [`Target::Quality`] applies to the mean of the tiles'
     /// scores.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
@@ -220,12 +220,14 @@ impl Encoder {
     }
 
     /// Encodes a picture in tiles with `workers`, which may run outside this process. The workers fit, join and sweep
-    /// the tiles. The initial survey of the picture and the writing of the file run in this process. The file has the
-    /// same bytes as without workers. A picture that is not divided into tiles is encoded in this process.
+    /// the tiles on the CPU. The initial survey of the picture and the writing of the file run in this process. The file
+    /// has the same bytes as without workers on the CPU. A picture that is not divided into tiles is encoded in this
+    /// process.
     ///
     /// # Errors
     /// As [`encode_with_progress`](Encoder::encode_with_progress), the errors of `workers`, and
-    /// [`Error::Parameter`](crate::Error::Parameter), which names the tile, if an answer does not match its task.
+    /// [`Error::Parameter`](crate::Error::Parameter), which names the tile, if an answer does not match its task, or if
+    /// [`Backend::Gpu`] is set for a picture in tiles.
     pub fn encode_divided(
         &self,
         source: &dyn PixelSource,

@@ -229,8 +229,8 @@ pub struct EncodeOptions {
     /// used, pictures of more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is
     /// fitted as a whole.
     ///
-    /// Tiles bound the memory of a fit. They are fitted on the CPU, in the coded layout. With tiles, a quality is the
-    /// mean of the tiles' scores.
+    /// Tiles bound the memory of a fit. They require the coded layout. With tiles, a quality is the mean of the tiles'
+    /// scores.
     pub tiles: Option<u32>,
     /// Treatment of colours under alpha 0.
     pub hidden: HiddenColors,
