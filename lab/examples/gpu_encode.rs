@@ -51,7 +51,7 @@ struct Args {
     #[arg(long)]
     crop: Option<u32>,
     /// Encode crops without a detail layer (off), with half of the bytes for the Gaussians (half), or both
-    #[arg(long, value_delimiter = ',', default_value = "off,half")]
+    #[arg(long, value_delimiter = ',', default_value = "off,half", value_parser = ["off", "half"])]
     layers: Vec<String>,
     /// Fits of each crop
     #[arg(long, default_value_t = 1)]

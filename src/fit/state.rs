@@ -40,6 +40,7 @@ pub(crate) struct State {
 }
 
 /// What a fit has accumulated besides its primitives. Another engine needs it to take the same steps from there on.
+#[allow(dead_code, reason = "only a GPU continues a fit, or hands one back")]
 #[derive(Debug)]
 pub(crate) struct Progress {
     /// Moments of each primitive that moves.
@@ -51,6 +52,7 @@ pub(crate) struct Progress {
 
 impl State {
     /// Returns the state of a fit at full size that another engine has brought to this point.
+    #[allow(dead_code, reason = "only a GPU continues a fit, or hands one back")]
     pub(crate) fn resumed(
         primitives: Vec<Primitive>,
         frozen: Vec<Primitive>,
@@ -65,6 +67,7 @@ impl State {
     }
 
     /// Returns what another engine needs besides the primitives to continue this fit.
+    #[allow(dead_code, reason = "only a GPU continues a fit, or hands one back")]
     pub(crate) fn progress(&self) -> Progress {
         let State { iteration, price, is_priced, .. } = *self;
         Progress { moments: self.memory.clone(), iteration, price, is_priced }
