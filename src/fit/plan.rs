@@ -275,11 +275,6 @@ impl Plan {
     pub(crate) fn is_fit_over(&self) -> bool {
         self.fit_deadline.is_some_and(|d| Instant::now() >= d)
     }
-
-    /// Returns whether the time will be up before work that takes `next` is complete.
-    pub(crate) fn is_over(&self, next: Duration) -> bool {
-        self.deadline.is_some_and(|d| d.saturating_duration_since(Instant::now()) <= next)
-    }
 }
 
 #[cfg(test)]

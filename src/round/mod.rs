@@ -12,3 +12,4 @@ mod local_quadratic;
 mod patch;
 pub(crate) mod rounded;
 pub(crate) mod size;
+pub(crate) mod size_loop;

@@ -61,19 +61,29 @@ impl<'a> Part<'a> {
         Ok(error_within(&problem, &descent.visible(&self.splats.gaussians), self.window.own(), Output::Gradient))
     }
 
-    /// Sweeps once over the integers. A bit must save a squared error of `lambda`. The returned error has the weights
-    /// of the fit.
-    pub(super) fn sweep(mut self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
+    /// Measures the error, with the weights of the fit, and the costs of the primitives, and finds candidates.
+    pub(super) fn appraise(self) -> Result<TileResult<PackedGaussian>> {
+        self.swept(None)
+    }
+
+    /// Sweeps once over the integers. A bit must save a squared error of `lambda`. Then measures as
+    /// [`appraise`](Self::appraise) does, but only the error under a detail layer, where the number of primitives is
+    /// not corrected.
+    pub(super) fn sweep(self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
+        self.swept(Some(lambda))
+    }
+
+    fn swept(mut self, lambda: Option<f64>) -> Result<TileResult<PackedGaussian>> {
         let target = self.global.planes(&self.window.padded)?;
         let problem = Problem { scene: self.scene(), target: &target };
-        let expected = file::expected(&mut self.splats, 1)?;
+        let expected = if lambda.is_some() { file::expected(&mut self.splats, 1)? } else { Vec::new() };
         let mut descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.frozen);
-        let lambda = lambda as f32;
         let mut own = self.splats.gaussians;
-        descent.sweep(&mut own, &expected, lambda);
+        if let Some(lambda) = lambda {
+            descent.sweep(&mut own, &expected, lambda as f32);
+        }
         let error = error_within(&problem, &descent.visible(&own), self.window.own(), Output::Gradient);
-        // The number of primitives under a detail layer is never corrected.
-        let worth = match self.global.settings.is_base {
+        let worth = match self.global.settings.is_base && lambda.is_some() {
             true => Worth { costs: vec![0.0; own.len()], candidates: Vec::new() },
             false => size::worth(&mut descent, &own, candidate_count(own.len())),
         };

@@ -14,6 +14,7 @@ mod grid;
 mod integers;
 mod mosaic;
 mod narrow;
+mod rounding;
 mod shrunk;
 mod task;
 mod wire;
@@ -38,9 +39,9 @@ use super::report::ReportBuilder;
 use super::session::{EncodeSession, KeptBase, Outcome, decibels};
 use super::skipped::SkipReason;
 use super::workers::Executor;
-use super::{DEFAULT_TILE_SIDE, Encoded, file};
+use super::{DEFAULT_TILE_SIDE, Encoded};
 use crate::bitstream;
-use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
+use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::objective::planes::Planes;
@@ -54,9 +55,8 @@ use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::quantize::Quantizer;
-use crate::round::finish::SLOPE;
 use crate::round::rounded;
-use crate::round::size::{Correction, Size, correction, is_settled};
+use crate::round::size::Size;
 #[cfg(feature = "quality-hook")]
 use crate::ssimulacra2::{MIN_SIDE, ssimulacra2};
 use floats::OnProgress;
@@ -65,7 +65,7 @@ use grid::{Grid, Shift, UNIT, Window};
 use mosaic::{Mosaic, Placed, TileResult};
 use narrow::Narrowed;
 use shrunk::Shrunk;
-use task::{FloatWork, IntegerWork};
+use task::FloatWork;
 pub use wire::work_on_tile;
 use wire::{PendingTile, WireFormat};
 
@@ -78,12 +78,6 @@ const MARGIN_SCALES: f64 = 12.0;
 const MAX_CONCURRENT: usize = 4;
 /// Maximum fraction of the primitives that are replaced by candidates, possibly in other tiles, at once.
 const MAX_SWAPPED: f64 = 0.2;
-/// The file size is corrected before each of this many sweeps at the end.
-const CORRECTED_SWEEPS: u32 = 3;
-/// Maximum number of sweeps that are added to the planned ones if the file does not have its size yet.
-const MAX_ADDED_SWEEPS: u32 = 2;
-/// A file is settled if it is smaller than its requested size by at most one part in this many.
-const SETTLED_PART: u64 = 200;
 /// Fraction of the time for Gaussians that their float fit may use.
 const FIT_TIME: f64 = 0.7;
 /// Maximum fraction of a file for Gaussians that are kept from an earlier try of a search.
@@ -480,7 +474,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
                 ((room / each).max(0.0) as usize).min(2 * self.global.settings.count)
             }
         };
-        mosaic.balance(candidates, wanted, (MAX_SWAPPED * have as f64) as usize);
+        mosaic.balance(&mut candidates, wanted, (MAX_SWAPPED * have as f64) as usize);
         for (pass, (to, shift)) in floats::JOINED.iter().enumerate() {
             self.give_time(time.map(|time| time.mul_f32(to - last)), windows.len());
             last = *to;
@@ -562,97 +556,5 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         let quantizer = self.global.blank.quantizer();
         self.global.blank.background = quantizer.quantize_color(self.global.scene.background);
         quantizer
-    }
-
-    /// Rounds `floats`, whose squared error is `error`, and brings the file to the requested size.
-    fn round(mut self, floats: Vec<Primitive>, error: f64) -> Result<Outcome> {
-        let clock = self.session.report.seconds();
-        let float_error = error;
-        let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / MAX_SAMPLED + 1).collect();
-        let quantizer = self.set_steps(&some, error);
-        let to_gaussian = |p: &PackedGaussian| quantizer.dequantize(p);
-        let mut mosaic = Mosaic::new(&self.grid, &to_gaussian);
-        for p in &floats {
-            mosaic.insert(Placed { primitive: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
-        }
-        drop(floats);
-        let sweeps = self.global.plan().sweeps.max(2);
-        let mut bytes = self.write(&mosaic)?;
-        let mut error = self.weighted_error(&mosaic)?;
-        let mut took = Duration::ZERO;
-        for round in 0..sweeps + MAX_ADDED_SWEEPS {
-            let start = Instant::now();
-            // If no time remains for another sweep, a file that is too large is trimmed below.
-            if round > 0 && self.until.is_some_and(|end| start + took > end) {
-                break;
-            }
-            let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
-            let shift = if round.is_multiple_of(2) { Shift::None } else { Shift::Half };
-            let stretch = ProgressRange::part("finish", round as usize, (sweeps + MAX_ADDED_SWEEPS) as usize);
-            let candidates;
-            (candidates, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
-            bytes = self.write(&mosaic)?;
-            took = start.elapsed();
-            self.trace("finish", &self.splats(&mosaic))?;
-            // The size of a base is not corrected, because the detail layer takes all remaining bytes.
-            let (Size::Bytes(max_bytes), false) = (self.size, self.global.settings.is_base) else {
-                if round + 1 == sweeps {
-                    break;
-                }
-                continue;
-            };
-            let length = bytes.len() as u64;
-            let is_settled = is_settled(length, max_bytes, SETTLED_PART);
-            if round + 1 >= sweeps && (is_settled || length > max_bytes || round + 1 == sweeps + MAX_ADDED_SWEEPS) {
-                break;
-            }
-            if round + 1 + CORRECTED_SWEEPS >= sweeps && !is_settled {
-                let count = mosaic.count();
-                let wanted = match correction(count, length.saturating_sub(self.fixed), length, max_bytes) {
-                    Correction::Remove(cheapest) => count.saturating_sub(cheapest),
-                    Correction::Add(more) => count + more,
-                };
-                mosaic.balance(candidates, wanted, 0);
-                bytes = self.write(&mosaic)?;
-            }
-        }
-        bytes = self.within(&mut mosaic, bytes)?;
-        self.session.report.stage("finish", clock);
-        let mut splats = self.splats(&mosaic);
-        file::smallest(&mut splats, self.session.options.levels)?;
-        Ok(Outcome { bytes, splats, float_error, quality: None })
-    }
-
-    /// Writes the file and returns its bytes.
-    fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<Vec<u8>> {
-        let mut splats = self.splats(mosaic);
-        let bytes = file::smallest(&mut splats, self.session.options.levels)?;
-        if self.session.fits_all_channels() { Ok(bytes) } else { self.session.file(&splats) }
-    }
-
-    /// Returns the integers of the primitives in `mosaic`, without the constant channels.
-    fn splats(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> PackedSplats {
-        let gaussians = mosaic.all().map(|p| p.primitive).collect();
-        PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.global.blank.clone() }
-    }
-
-    /// Removes the cheapest primitives until the file is within its limit. Returns the bytes of the file.
-    fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>) -> Result<Vec<u8>> {
-        let Size::Bytes(max_bytes) = self.limit else { return Ok(bytes) };
-        while bytes.len() as u64 > max_bytes {
-            let count = mosaic.count();
-            if count == 0 {
-                return Err(self.session.too_small(max_bytes, bytes.len() as u64));
-            }
-            let each = (bytes.len() as f64 / count as f64).max(1.0);
-            mosaic.remove_cheapest(((bytes.len() as u64 - max_bytes) as f64 / each).ceil() as usize);
-            bytes = self.write(mosaic)?;
-        }
-        Ok(bytes)
-    }
-
-    fn weighted_error(&mut self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
-        let stretch = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
-        Ok(self.turn(stretch, &self.grid.windows(), IntegerWork::Weigh, mosaic)?.iter().map(|b| b.error).sum())
     }
 }

@@ -35,6 +35,7 @@ impl<T> TileResult<T> {
 
 /// Primitives, grouped into squares with half the side of a tile. Every tile, shifted or not, consists of whole
 /// squares.
+#[derive(Clone)]
 pub(super) struct Mosaic<'a, T> {
     half: u32,
     columns: usize,
@@ -155,10 +156,10 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         }
     }
 
-    /// Changes the number of primitives to about `wanted`: removes the cheapest ones, or adds the best candidates in
-    /// `candidates`. Then replaces at most `swaps` of the cheapest primitives by candidates that gain more than the
-    /// primitives cost.
-    pub(super) fn balance(&mut self, mut candidates: Vec<Placed<T>>, wanted: usize, swaps: usize) {
+    /// Changes the number of primitives to about `wanted`: removes the cheapest ones, or adds the best of `candidates`,
+    /// which it takes out of them. Then replaces at most `swaps` of the cheapest primitives by candidates that gain more
+    /// than the primitives cost.
+    pub(super) fn balance(&mut self, candidates: &mut Vec<Placed<T>>, wanted: usize, swaps: usize) {
         let have = self.count();
         candidates.sort_by(|a, b| b.cost.total_cmp(&a.cost));
         let mut costs: Vec<f32> = self.all().map(|p| p.cost).collect();
@@ -169,8 +170,7 @@ impl<'a, T: Copy> Mosaic<'a, T> {
             (removed, added) = (removed + 1, added + 1);
         }
         self.remove_cheapest(removed);
-        candidates.truncate(added);
-        candidates.into_iter().for_each(|placed| self.insert(placed));
+        candidates.drain(..added).for_each(|placed| self.insert(placed));
     }
 }
 
@@ -215,14 +215,15 @@ mod tests {
         (0..10).for_each(|i| mosaic.insert(at(29.0 * i as f32, 7.0, (i / 2) as f32)));
         mosaic.remove_cheapest(3);
         assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0]);
-        let candidates = || [0.5, 9.0, 2.5, 8.0].map(|gain| at(5.0, 5.0, gain)).to_vec();
-        mosaic.balance(candidates(), 8, 0);
+        let mut candidates = [0.5, 9.0, 2.5, 8.0].map(|gain| at(5.0, 5.0, gain)).to_vec();
+        mosaic.balance(&mut candidates, 8, 0);
+        assert_eq!(candidates, [8.0, 2.5, 0.5].map(|gain| at(5.0, 5.0, gain)));
         assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 9.0]);
         // One candidate is added and one replaces a primitive. The next candidate would gain less than the cheapest
         // primitive costs.
-        mosaic.balance(vec![at(5.0, 5.0, 2.5), at(5.0, 5.0, 1.5), at(5.0, 5.0, 7.0)], 9, 5);
+        mosaic.balance(&mut vec![at(5.0, 5.0, 2.5), at(5.0, 5.0, 1.5), at(5.0, 5.0, 7.0)], 9, 5);
         assert_eq!(costs(&mosaic), [2.0, 2.0, 2.5, 3.0, 3.0, 4.0, 4.0, 7.0, 9.0]);
-        mosaic.balance(Vec::new(), 2, 5);
+        mosaic.balance(&mut Vec::new(), 2, 5);
         assert_eq!(costs(&mosaic), [7.0, 9.0]);
         mosaic.remove_cheapest(7);
         assert_eq!(mosaic.count(), 0);

@@ -23,6 +23,8 @@ pub(super) enum FloatWork {
 pub(super) enum IntegerWork {
     /// Measures the error with the weights of the fit.
     Weigh,
+    /// Measures the costs of the primitives, and finds candidates.
+    Appraise,
     /// Runs a sweep in which a bit must save this much of the squared error.
     Sweep(f64),
 }
@@ -85,6 +87,7 @@ impl TilePrimitive for PackedGaussian {
     ) -> Result<TileResult<Self>> {
         match work {
             IntegerWork::Weigh => Ok(TileResult::measured(Part::new(global, window, primitives).error()?)),
+            IntegerWork::Appraise => Part::new(global, window, primitives).appraise(),
             IntegerWork::Sweep(lambda) => Part::new(global, window, primitives).sweep(lambda),
         }
     }

@@ -74,6 +74,7 @@ fn run_task(task: &[u8], on_progress: OnProgress<'_>) -> Result<Vec<u8>> {
             let lambda = read_f64(&mut bytes, "lambda")?;
             run_work::<PackedGaussian>(bytes, blank, IntegerWork::Sweep(lambda), target, on_progress)
         }
+        [4] => run_work::<PackedGaussian>(bytes, blank, IntegerWork::Appraise, target, on_progress),
         [other] => Err(refused("work", other.into())),
     }
 }
@@ -491,6 +492,7 @@ impl WireFormat for PackedGaussian {
                 out.push(3);
                 out.extend(lambda.to_le_bytes());
             }
+            IntegerWork::Appraise => out.push(4),
         }
     }
 
@@ -526,8 +528,8 @@ impl WireFormat for PackedGaussian {
 
     fn max_primitives(work: IntegerWork, own: usize) -> usize {
         match work {
-            IntegerWork::Sweep(_) => own.max(integers::candidate_count(own)),
-            _ => 0,
+            IntegerWork::Sweep(_) | IntegerWork::Appraise => own.max(integers::candidate_count(own)),
+            IntegerWork::Weigh => 0,
         }
     }
 }
