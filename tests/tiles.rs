@@ -85,6 +85,33 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
 }
 
 #[test]
+fn uncoded_layouts_are_written_in_tiles_and_fill_their_size() {
+    let pixels = picture(300, 200, Channels::Rgba);
+    for layout in [Layout::Packed, Layout::Planes] {
+        for (target, most) in [(Target::Bytes(1500), 1500), (Target::Ratio(20.0), 12_000)] {
+            let mut of_tiles = options(target, Some(128));
+            (of_tiles.layout, of_tiles.detail) = (layout, Detail::Off);
+            let mut of_whole = of_tiles.clone();
+            of_whole.tiles = None;
+            let [tiles, whole] = [&of_tiles, &of_whole].map(|o| ssplat::unstable::encode(&pixels, o).unwrap());
+            let bytes = tiles.bytes.len() as u64;
+            assert!(bytes <= most && bytes >= most * 97 / 100, "{layout:?}: {bytes} of {most}");
+            let splats = ssplat::unstable::bitstream::read(&tiles.bytes[..], &Limits::default()).unwrap();
+            assert_eq!(splats.layout, layout);
+            let (found, wanted) = (tiles.report.psnr, whole.report.psnr);
+            // Tiles this small lose 0.5 to 1.0 dB. A wrong position or angle would lose far more.
+            assert!(found > wanted - 1.2, "{layout:?}: {found} dB in tiles, {wanted} dB as a whole");
+        }
+    }
+    // The Gaussians of other layouts have no layer over them.
+    let mut of_tiles = options(Target::Ratio(10.0), Some(128));
+    of_tiles.layout = Layout::Packed;
+    let here = ssplat::unstable::encode(&pixels, &of_tiles).unwrap().bytes;
+    let there = encode_by(&pixels, &of_tiles, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
+    assert!(here == there, "{} and {} bytes", here.len(), there.len());
+}
+
+#[test]
 fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
     for (channels, is_grey) in [(Channels::Rgb, false), (Channels::Rgba, true)] {
         let pixels = match is_grey {
@@ -547,7 +574,6 @@ fn options_that_exclude_tiles_are_parameter_errors() {
     };
     refused("tiles", &|o| o.tiles = Some(0));
     refused("tiles", &|o| o.tiles = Some(100));
-    refused("tiles", &|o| o.layout = Layout::Planes);
     refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
     refused("tiles", &|o| o.backend = Backend::Gpu);
     let small = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3), Some(128)));

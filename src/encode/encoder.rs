@@ -147,10 +147,9 @@ impl Encoder {
     }
 
     /// Sets the side of the tiles in which a picture is fitted, in pixels: a multiple of 128 up to 16384. Tiles bound
-    /// the memory of an encode. They require [`Layout::Coded`]. By default, pictures of more than 2²⁵ pixels are fitted
-    /// in tiles of 2048 unless the layout excludes tiles or a GPU is used, pictures of more than 2²⁸ pixels always, and
-    /// all others as a whole. With tiles, a [`Target::Quality`] applies to the mean of the tiles'
-    /// scores.
+    /// the memory of an encode. By default, pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless a GPU is
+    /// used, pictures of more than 2²⁸ pixels always, and all others as a whole. With tiles, a [`Target::Quality`]
+    /// applies to the mean of the tiles' scores.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);

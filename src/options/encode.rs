@@ -225,12 +225,11 @@ pub struct EncodeOptions {
     /// Whether the file carries a thumbnail; its bytes count as the file's.
     pub thumbnail: Thumbnail,
     /// Side of the tiles in which the picture is fitted, pixels: a multiple of 128 up to 16384. `None`: pictures of
-    /// more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout or the recipe excludes tiles or a GPU is
-    /// used, pictures of more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is
-    /// fitted as a whole.
+    /// more than 2²⁵ pixels are fitted in tiles of 2048 unless the recipe excludes tiles or a GPU is used, pictures of
+    /// more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is fitted as a whole.
     ///
-    /// Tiles bound the memory of a fit. They require the coded layout. With tiles, a quality is the mean of the tiles'
-    /// scores.
+    /// Tiles bound the memory of a fit. The SmartSplat recipe excludes tiles, because its paper defines it on whole
+    /// pictures. With tiles, a quality is the mean of the tiles' scores.
     pub tiles: Option<u32>,
     /// Treatment of colours under alpha 0.
     pub hidden: HiddenColors,

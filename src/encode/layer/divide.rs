@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::texture::Texture;
 use super::{Layered, division, layered_in_parts};
-use crate::bitstream::splats::{Layout, PackedSplats};
+use crate::bitstream::splats::PackedSplats;
 use crate::encode::input::stored_scene;
 use crate::encode::session::{EncodeSession, FitRequest, KeptBase, MIN_BASE_GROWTH, Outcome, UnderLayer};
 use crate::encode::whole::WholeSession;
@@ -16,7 +16,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks;
 use crate::fit::model::problem::{LARGE_PIXELS, Problem};
 use crate::instant::Instant;
-use crate::options::{Detail, Recipe, Tune};
+use crate::options::{Detail, Tune};
 use crate::round::rounded::projected;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
@@ -59,7 +59,6 @@ impl WholeSession<'_> {
         // The size of header and metadata does not depend on the division.
         let fixed = self.fixed()?;
         let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(&alone) };
-        let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
         let limit = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
         let until = limit.and_then(|limit| Instant::now().checked_add(limit));
         let division = |texture| Division { fixed, shared, texture, rounds: self.rounds(), until };
@@ -80,7 +79,7 @@ impl WholeSession<'_> {
                 self.report.stage("detail", clock);
                 Ok(outcome)
             }
-            Detail::Auto if may_have => {
+            Detail::Auto if division::may_have_layer(options) => {
                 let texture = self.texture();
                 let largest = division::largest_ratio(options.effort, self.pixels(), texture);
                 match division::is_worth_a_layer(self.samples(), shared, largest) {

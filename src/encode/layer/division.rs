@@ -10,7 +10,8 @@
 //! the rule for photographs to the results, and writes a table of what each picture would have had.
 
 use super::texture::Texture;
-use crate::options::{Detail, EncodeOptions};
+use crate::bitstream::splats::Layout;
+use crate::options::{Detail, EncodeOptions, Recipe};
 use crate::strict_math::StrictMath;
 
 /// Number of pixels of the pictures from which the values below were determined. They scale with powers of the number
@@ -158,11 +159,18 @@ fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
     BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }
 
+/// Returns whether a file with these options may have a detail layer. Only the coded layout has one, and other methods
+/// consist of Gaussians alone.
+pub(super) fn may_have_layer(options: &EncodeOptions) -> bool {
+    options.layout == Layout::Coded && options.recipe == Recipe::Ssplat
+}
+
 /// Returns the byte budget of the Gaussians of a picture that is fitted in tiles, or `None` if the picture has no
 /// layer. `shared` is the size of the file without header and metadata.
 pub(in crate::encode) fn base_in_tiles(options: &EncodeOptions, pixels: u64, samples: f64, shared: u64) -> Option<u64> {
     let all = shared as f64;
     match options.detail {
+        _ if !may_have_layer(options) => None,
         Detail::Share(share) => Some((all * share) as u64),
         Detail::Auto if is_worth_a_layer(samples, shared, largest_ratio(options.effort, pixels, None)) => {
             Some(base_bytes(options.effort, pixels, None, (samples / all).max(20.0), all) as u64)

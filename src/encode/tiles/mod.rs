@@ -41,7 +41,7 @@ use super::skipped::SkipReason;
 use super::workers::Executor;
 use super::{DEFAULT_TILE_SIDE, Encoded};
 use crate::bitstream;
-use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
+use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::objective::planes::Planes;
@@ -121,7 +121,6 @@ pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |problem: &str| Err(Error::Parameter { parameter: Parameter::Tiles, problem: problem.into() });
     match options {
         o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
-        o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles"),
         _ => Ok(()),
     }
 }

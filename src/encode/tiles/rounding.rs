@@ -32,8 +32,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         let schedule = SizeSchedule { size, sweeps, descends: true, deadline: self.until };
         let progress = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
         let (fit, shift) = (&mut self, Shift::None);
-        let mut integers =
-            TiledIntegers { fit, mosaic, progress, shift, candidates: None, error: None, length: None };
+        let mut integers = TiledIntegers { fit, mosaic, progress, shift, candidates: None, error: None, length: None };
         bring_to_size(&mut integers, schedule)?;
         if let Size::Bytes(max_bytes) = limit {
             let length = integers.bytes()?;
