@@ -156,35 +156,9 @@ fn sweep_channels<const C: usize>(
     // two threads write to the same pixels. The last band is the whole picture, so that every primitive is tried.
     let mut band = BAND;
     while !waiting.is_empty() {
+        // Bands shifted by half take the primitives that cross a border of the first ones. Larger bands take the rest.
         for offset in [0, band / 2] {
-            // Bands shifted by half take the primitives that cross a border of the first ones. Larger bands take the
-            // rest.
-            let fits = |i: u32| -> Option<usize> {
-                let rows = reach(&projected[i as usize], height);
-                if rows.start < offset && band < height {
-                    return None;
-                }
-                let b = rows.start.saturating_sub(offset) / band;
-                (band >= height || rows.end <= offset + (b + 1) * band).then_some(if band >= height { 0 } else { b })
-            };
-            let offset = if band >= height { 0 } else { offset };
-            if offset >= height {
-                continue;
-            }
-            let bands = (height - offset).div_ceil(band);
-            let mut members: Vec<Vec<u32>> = vec![Vec::new(); bands];
-            waiting.retain(|&i| match fits(i) {
-                Some(b) => {
-                    members[b].push(i);
-                    false
-                }
-                None => true,
-            });
-            // Each band is processed a few columns at a time, so that the rows under one primitive are still in the
-            // cache for the next.
-            for members in &mut members {
-                members.sort_by_key(|&i| projected[i as usize].center[0].max(0.0) as usize / BLOCK);
-            }
+            let members = Bands { height, band, offset }.take(&mut waiting, &projected);
             let planes = &mut field.planes[offset * row_size..];
             let changes = parallel::map_chunks(planes, band * row_size, |b, planes| {
                 let task = BandTask::<C> {
@@ -214,6 +188,44 @@ fn sweep_channels<const C: usize>(
         band *= 4;
     }
     gain
+}
+
+/// Bands of `band` rows each, the first of which starts at row `offset`.
+struct Bands {
+    height: usize,
+    band: usize,
+    offset: usize,
+}
+
+impl Bands {
+    /// Returns the band that contains all rows that `p` may touch.
+    fn of(&self, p: &Projected) -> Option<usize> {
+        let &Bands { height, band, offset } = self;
+        if band >= height {
+            return Some(0);
+        }
+        let rows = reach(p, height);
+        let b = rows.start.checked_sub(offset)? / band;
+        (rows.end <= offset + (b + 1) * band).then_some(b)
+    }
+
+    /// Takes the primitives that lie in a single band out of `waiting`, and returns those of each band.
+    fn take(&self, waiting: &mut Vec<u32>, projected: &[Projected]) -> Vec<Vec<u32>> {
+        let mut members: Vec<Vec<u32>> = vec![Vec::new(); (self.height - self.offset).div_ceil(self.band)];
+        waiting.retain(|&i| match self.of(&projected[i as usize]) {
+            Some(b) => {
+                members[b].push(i);
+                false
+            }
+            None => true,
+        });
+        // Each band is processed a few columns at a time, so that the rows under one primitive are still in the cache
+        // for the next.
+        for members in &mut members {
+            members.sort_by_key(|&i| projected[i as usize].center[0].max(0.0) as usize / BLOCK);
+        }
+        members
+    }
 }
 
 /// Returns the rows that a primitive and its neighbours on the lattice may touch.

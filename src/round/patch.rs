@@ -131,7 +131,6 @@ impl<'a> Patch<'a> {
         let (left, right) = (self.columns.start, self.columns.end);
         let alpha = target.opacity;
         let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
-        let epsilon = simd.splat(EPSILON);
         let background: [f32; C] = std::array::from_fn(|k| self.background_term(k));
         let out = &mut self.planes[i * (2 * C + 1) * width..][..(2 * C + 1) * width];
         let divisors = &mut self.divisors[i * width..][..width];
@@ -155,38 +154,18 @@ impl<'a> Patch<'a> {
             // The last vector may contain columns beyond the patch. Lanes from `limit` on must not count.
             let limit = simd.splat((right - x) as f32 - 0.5);
             let all = simd.read(&row[C * stride + x..]);
-            // `own` is the primitive's weight, `with` the inverse of the divisor with the primitive, and `without`
-            // the divisor without it. The exponential is needed only under its support.
-            let (own, with, without) = match (span, blend) {
-                (Some((start, end, dy)), _) if x + LANES > start && x < end => {
-                    let e = kernel::at(simd, p, x, dy);
-                    let own = simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero);
-                    let own = simd.keep_above(own, limit, simd.index());
-                    match blend {
-                        Blend::Normalized => {
-                            // Rounding may leave slightly less than 0.
-                            let without = simd.add(simd.max(simd.sub(all, own), zero), epsilon);
-                            (own, Some(simd.div(one, simd.add(all, epsilon))), without)
-                        }
-                        Blend::Sum => (own, None, one),
-                    }
-                }
-                (_, Blend::Normalized) => (zero, None, simd.add(simd.max(all, zero), epsilon)),
-                (_, Blend::Sum) => (zero, None, one),
-            };
-            let share = simd.div(one, without);
-            let with = with.unwrap_or(share);
+            // The exponential is needed only under the support of the primitive.
+            let own = span.filter(|&(start, end, _)| x + LANES > start && x < end).map(|(.., dy)| {
+                let own = simd.max(simd.sub(kernel::at(simd, p, x, dy), simd.splat(CUTOFF_WEIGHT)), zero);
+                simd.keep_above(own, limit, simd.index())
+            });
+            let Weights { with, without, share } = Weights::new(simd, blend, all, own);
+            let own = own.unwrap_or(zero);
             let mut error = zero;
             for k in 0..C {
                 let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(background[k]));
                 let n = simd.sub(sum, simd.mul(own, simd.splat(colors[k])));
-                let mut t = simd.read(&wanted[k * stride + x..]);
-                // Decoders clamp values. If a black or white pixel overshoots, the target moves to the current value,
-                // so that the overshoot is no error as long as it stays the same.
-                let beyond = simd.sub(simd.mul(sum, with), t);
-                let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
-                let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
-                t = simd.add(simd.add(t, above), below);
+                let t = clamped_target(simd, simd.read(&wanted[k * stride + x..]), simd.mul(sum, with));
                 let mut d = simd.sub(simd.mul(n, share), t);
                 // Colours are weighted by their opacity, because errors in transparent pixels are invisible.
                 if let Some(a) = alpha.filter(|&a| a != k) {
@@ -326,6 +305,48 @@ impl<'a> Patch<'a> {
         let [from, to] = rows.map(|y| (y as usize).clamp(self.rows.start, self.rows.end) - self.rows.start);
         from.div_ceil(self.step)..to.div_ceil(self.step)
     }
+}
+
+/// Factors of a vector of pixels: a pixel is its sums by them.
+struct Weights<V> {
+    /// The inverse of the divisor with the primitive.
+    with: V,
+    /// The divisor without the primitive.
+    without: V,
+    /// The inverse of `without`.
+    share: V,
+}
+
+impl<V: Copy> Weights<V> {
+    /// Returns the factors of pixels whose weights have the sum `all`. `own` is the weight of the primitive; `None`
+    /// means 0.
+    #[inline(always)]
+    fn new<S: Simd<Vector = V>>(simd: S, blend: Blend, all: V, own: Option<V>) -> Self {
+        let (zero, one, epsilon) = (simd.splat(0.0), simd.splat(1.0), simd.splat(EPSILON));
+        let (with, without) = match (own, blend) {
+            (Some(own), Blend::Normalized) => {
+                // Rounding may leave slightly less than 0.
+                let without = simd.add(simd.max(simd.sub(all, own), zero), epsilon);
+                (Some(simd.div(one, simd.add(all, epsilon))), without)
+            }
+            (None, Blend::Normalized) => (None, simd.add(simd.max(all, zero), epsilon)),
+            (_, Blend::Sum) => (None, one),
+        };
+        let share = simd.div(one, without);
+        Weights { with: with.unwrap_or(share), without, share }
+    }
+}
+
+/// Returns the values that pixels should have if they now have the values `now` and their target is `target`. Decoders
+/// clamp values. If a black or white pixel overshoots, the target moves to the current value, so that the overshoot is
+/// no error as long as it stays the same.
+#[inline(always)]
+fn clamped_target<S: Simd>(simd: S, target: S::Vector, now: S::Vector) -> S::Vector {
+    let zero = simd.splat(0.0);
+    let beyond = simd.sub(now, target);
+    let above = simd.keep_above(simd.max(beyond, zero), target, simd.splat(1.0f32.next_down()));
+    let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), target);
+    simd.add(simd.add(target, above), below)
 }
 
 impl Parabola {

@@ -310,6 +310,27 @@ pub(in crate::bitstream) fn legal(place: i64) -> i64 {
     place.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE)
 }
 
+/// Codes the part of a position that its square leaves open, in steps of `exponents`. When reading, `position` is
+/// ignored.
+fn refined<C: Coder>(
+    coder: &mut C,
+    scene: &GroupContext<'_>,
+    square: &Square,
+    exponents: [i32; 2],
+    position: [u32; 2],
+) -> Result<[u32; 2], Broken> {
+    let cells = scene.rules.in_cells(exponents);
+    let bits = cells.map(|cells| square.log - cells);
+    let rest = coder.pair(bits, [0, 1].map(|k| position[k] & ((1 << bits[k]) - 1)));
+    let refined = [0, 1].map(|k| square.corner[k] >> cells[k] | rest[k]);
+    for k in 0..2 {
+        if refined[k] << cells[k] >= scene.grid[k] {
+            return Err(Broken { field: ["x", "y"][k], value: refined[k].into() });
+        }
+    }
+    Ok(refined)
+}
+
 impl Attributes {
     pub(crate) fn new(scene: &GroupContext<'_>) -> Self {
         let palette = &scene.palette;
@@ -391,16 +412,7 @@ impl Attributes {
         // The position steps follow from the shape, and are finer than the square in the direction in which the
         // primitive is narrow. All cells within the square are about equally likely.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
-        let [lx, ly] = scene.rules.in_cells(exponents);
-        let bits = [log - lx, log - ly];
-        let rest = coder.pair(bits, [p.x & ((1 << bits[0]) - 1), p.y & ((1 << bits[1]) - 1)]);
-        let (x, y) = (square.corner[0] >> lx | rest[0], square.corner[1] >> ly | rest[1]);
-        if x << lx >= scene.grid[0] {
-            return Err(Broken { field: "x", value: x.into() });
-        }
-        if y << ly >= scene.grid[1] {
-            return Err(Broken { field: "y", value: y.into() });
-        }
+        let [x, y] = refined(coder, scene, square, exponents, [p.x, p.y])?;
         coder.account("position refinement");
 
         let mut errors = [0; 4];
@@ -425,6 +437,14 @@ impl Attributes {
             }
         };
         let p = PackedGaussian { x, y, major, minor, angle, color };
+        buckets.add(&spot, &self.learn(scene, n, &p, &errors));
+        Ok(p)
+    }
+
+    /// Updates the means with a primitive that has `angles` angles and was coded with these errors of its colour.
+    /// Returns its contribution to its bucket.
+    fn learn(&mut self, scene: &GroupContext<'_>, angles: u16, p: &PackedGaussian, errors: &[i32; 4]) -> [i32; LANES] {
+        let &PackedGaussian { major, minor, angle, color, .. } = p;
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
         // Means and buckets are updated only with values that a reader knows at this point.
@@ -432,18 +452,17 @@ impl Attributes {
         self.means[1].add(i64::from(minor) * FINE);
         // An axis is the same after half a turn, so directions are summed as vectors of twice the angle. The vectors
         // of round primitives are short, because their angles are arbitrary.
-        let octaves = i32::from(difference) * (scene.delta() as i32);
+        let octaves = i32::from(major - minor) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
-        let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
+        let direction = (u32::from(angle) * 64 + u32::from(angles) / 2) / u32::from(angles) % 64;
         let axis = DIRECTIONS[direction as usize].map(|c| c * elongation);
         let mut lanes = [0; LANES];
         lanes[..AVERAGED].copy_from_slice(&values);
-        lanes[ERROR_LANES..AXIS_LANES].copy_from_slice(&errors);
+        lanes[ERROR_LANES..AXIS_LANES].copy_from_slice(errors);
         lanes[AXIS_LANES..ELONGATION_LANE].copy_from_slice(&axis);
         lanes[ELONGATION_LANE] = elongation;
         lanes[COUNT] = 1;
-        buckets.add(&spot, &lanes);
-        Ok(p)
+        lanes
     }
 
     /// Codes `major − minor`.
