@@ -215,3 +215,96 @@ struct Best<T> {
     error: f64,
     snapshot: T,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Primitives of 10 bytes each. The file has a header of 20 bytes.
+    #[derive(Default)]
+    struct Made {
+        count: u64,
+        sweeps: u32,
+        /// Number of primitives by which a sweep lengthens the file.
+        growth: u64,
+    }
+
+    impl IntegerSet for Made {
+        type Snapshot = u64;
+
+        fn start_round(&mut self, round: u32, rounds: u32) -> Result<()> {
+            assert!(round < rounds);
+            Ok(())
+        }
+
+        fn is_empty(&self) -> bool {
+            self.count == 0
+        }
+
+        fn bytes(&mut self) -> Result<u64> {
+            Ok(20 + 10 * self.count)
+        }
+
+        fn error(&mut self) -> Result<f64> {
+            Ok(1e6 / (self.count + 1) as f64)
+        }
+
+        fn sweep(&mut self, lambda: f64) -> Result<Option<f64>> {
+            assert!(lambda > 0.0);
+            self.sweeps += 1;
+            self.count += self.growth;
+            Ok(None)
+        }
+
+        fn resize(&mut self, bytes: u64, max_bytes: u64) -> Result<()> {
+            assert_eq!(bytes, 20 + 10 * self.count);
+            self.count = max_bytes.saturating_sub(20) / 10;
+            Ok(())
+        }
+
+        fn snapshot(&self) -> u64 {
+            self.count
+        }
+
+        fn restore(&mut self, count: u64) {
+            self.count = count;
+        }
+    }
+
+    fn sized(count: u64, growth: u64, size: Size, deadline: Option<Instant>) -> Made {
+        let mut set = Made { count, growth, ..Made::default() };
+        bring_to_size(&mut set, SizeSchedule { size, sweeps: 4, descends: true, deadline }).unwrap();
+        set
+    }
+
+    #[test]
+    fn a_file_fills_its_size_and_never_exceeds_it_even_if_sweeps_lengthen_it() {
+        for count in [0, 1, 50, 980, 5000] {
+            for growth in [0, 1] {
+                let bytes = sized(count, growth, Size::Bytes(10_000), None).bytes().unwrap();
+                assert!((9_800..=10_000).contains(&bytes), "{count} primitives, {growth} more each time: {bytes}");
+            }
+        }
+    }
+
+    #[test]
+    fn after_the_deadline_only_the_size_is_corrected() {
+        for count in [10, 5000] {
+            let mut set = sized(count, 0, Size::Bytes(10_000), Some(Instant::now()));
+            assert_eq!(set.sweeps, 0);
+            assert!((9_800..=10_000).contains(&set.bytes().unwrap()), "{count}");
+        }
+    }
+
+    #[test]
+    fn a_file_without_a_size_has_the_planned_sweeps() {
+        let set = sized(70, 0, Size::Free, None);
+        assert_eq!((set.sweeps, set.count), (4, 70));
+        assert_eq!(sized(70, 0, Size::Free, Some(Instant::now())).sweeps, 0);
+    }
+
+    #[test]
+    fn a_size_below_that_of_an_empty_file_leaves_no_primitives() {
+        assert_eq!(sized(70, 3, Size::Bytes(15), None).count, 0);
+    }
+}
