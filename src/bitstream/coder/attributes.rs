@@ -312,6 +312,7 @@ pub(in crate::bitstream) fn legal(place: i64) -> i64 {
 
 /// Codes the part of a position that its square leaves open, in steps of `exponents`. When reading, `position` is
 /// ignored.
+#[inline(always)]
 fn refined<C: Coder>(
     coder: &mut C,
     scene: &GroupContext<'_>,
@@ -319,16 +320,17 @@ fn refined<C: Coder>(
     exponents: [i32; 2],
     position: [u32; 2],
 ) -> Result<[u32; 2], Broken> {
-    let cells = scene.rules.in_cells(exponents);
-    let bits = cells.map(|cells| square.log - cells);
-    let rest = coder.pair(bits, [0, 1].map(|k| position[k] & ((1 << bits[k]) - 1)));
-    let refined = [0, 1].map(|k| square.corner[k] >> cells[k] | rest[k]);
-    for k in 0..2 {
-        if refined[k] << cells[k] >= scene.grid[k] {
-            return Err(Broken { field: ["x", "y"][k], value: refined[k].into() });
-        }
+    let [lx, ly] = scene.rules.in_cells(exponents);
+    let bits = [square.log - lx, square.log - ly];
+    let rest = coder.pair(bits, [position[0] & ((1 << bits[0]) - 1), position[1] & ((1 << bits[1]) - 1)]);
+    let (x, y) = (square.corner[0] >> lx | rest[0], square.corner[1] >> ly | rest[1]);
+    if x << lx >= scene.grid[0] {
+        return Err(Broken { field: "x", value: x.into() });
     }
-    Ok(refined)
+    if y << ly >= scene.grid[1] {
+        return Err(Broken { field: "y", value: y.into() });
+    }
+    Ok([x, y])
 }
 
 impl Attributes {
@@ -443,6 +445,7 @@ impl Attributes {
 
     /// Updates the means with a primitive that has `angles` angles and was coded with these errors of its colour.
     /// Returns its contribution to its bucket.
+    #[inline(always)]
     fn learn(&mut self, scene: &GroupContext<'_>, angles: u16, p: &PackedGaussian, errors: &[i32; 4]) -> [i32; LANES] {
         let &PackedGaussian { major, minor, angle, color, .. } = p;
         let c = color.map(i32::from);
