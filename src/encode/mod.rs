@@ -136,7 +136,7 @@ fn encode_by(
             problem: "it applies to given Gaussians only".into(),
         });
     }
-    let effort = timed_effort::affordable(source.size(), options);
+    let effort = timed_effort::affordable(source.size(), source.channels(), options);
     let options = &EncodeOptions { effort, ..options.clone() };
     match (side(source, options), source.as_pixels()) {
         (Some(side), _) => {

@@ -167,7 +167,12 @@ pub(super) fn may_have_layer(options: &EncodeOptions) -> bool {
 
 /// Returns the byte budget of the Gaussians of a picture that is fitted in tiles, or `None` if the picture has no
 /// layer. `shared` is the size of the file without header and metadata.
-pub(in crate::encode) fn base_in_tiles(options: &EncodeOptions, pixels: u64, samples: f64, shared: u64) -> Option<u64> {
+pub(in crate::encode) fn base_without_texture(
+    options: &EncodeOptions,
+    pixels: u64,
+    samples: f64,
+    shared: u64,
+) -> Option<u64> {
     let all = shared as f64;
     match options.detail {
         _ if !may_have_layer(options) => None,

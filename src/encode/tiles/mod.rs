@@ -30,7 +30,7 @@ use super::hidden::InpaintedSource;
 use super::input::{self, may_leave_out};
 use super::job::{excess, sufficient_error};
 use super::layer::divide::{BASE_TIME, is_search};
-use super::layer::division::base_in_tiles;
+use super::layer::division::base_without_texture;
 use super::layer::layered_in_parts;
 use super::layer::parts::error_between;
 use super::pipeline::run;
@@ -197,7 +197,8 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
         let Size::Bytes(max_bytes) = size else { return self.gaussians(0, [size; 2], share) };
         let fixed = self.fixed()?;
         let area = self.fitted_source.size().map(u64::from).iter().product();
-        let Some(budget) = base_in_tiles(self.options, area, self.samples(), max_bytes.saturating_sub(fixed)) else {
+        let Some(budget) = base_without_texture(self.options, area, self.samples(), max_bytes.saturating_sub(fixed))
+        else {
             let count = count_for(self.options, max_bytes, fixed, self.samples())?;
             return self.gaussians(count, [size; 2], share);
         };
