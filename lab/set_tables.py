@@ -10,7 +10,7 @@ CHART_RATIOS = ["20", "50", "100"]
 # Measures and their digits, in the order of the columns.
 COLUMNS = {"ssimulacra2": 1, "butteraugli": 2, "ms_ssim": 4, "psnr": 2}
 HEAD = ["SSIMULACRA2", "Butteraugli", "MS-SSIM", "PSNR, dB"]
-EFFORT_RATIO, DEFAULT_EFFORT = "50", "5"
+EFFORT_RATIOS, DEFAULT_EFFORT = ["50", "200"], "5"
 # Speeds of AVIF in the table of efforts; speed 3 takes minutes for a picture of CLIC.
 EFFORT_SPEEDS = dict.fromkeys(RATIOS, [6, 3]) | {"clic": [6], "large": [6]}
 
@@ -85,17 +85,17 @@ def pixels_of(picture):
     return width * height
 
 
-def effort_rows(lab, name, set_name, efforts):
+def effort_rows(lab, name, set_name, ratio, efforts):
     """Returns the rows of a set: CPU seconds and quality of efforts, and of AVIF at the bytes of the default effort."""
-    pictures = {picture: lab.ours(name, picture, EFFORT_RATIO) for picture in lab.pictures(set_name)}
+    pictures = {picture: lab.ours(name, picture, ratio) for picture in lab.pictures(set_name)}
     speeds = {speed: {picture: lab.files.best(picture, avif(speed), ours["bytes"]) for picture, ours in pictures.items()} for speed in EFFORT_SPEEDS[set_name]}
     covered = [picture for picture in pictures if all(found[picture] for found in speeds.values())]
 
     def row(encoder, seconds, of):
-        return [set_name, f"{len(covered)} of {len(pictures)}", encoder, number(mean(seconds), 2), *(number(mean(made[key] for made in of), COLUMNS[key]) for key in ("ssimulacra2", "butteraugli", "ms_ssim"))]
+        return [set_name, ratio, f"{len(covered)} of {len(pictures)}", encoder, number(mean(seconds), 2), *(number(mean(made[key] for made in of), COLUMNS[key]) for key in ("ssimulacra2", "butteraugli", "ms_ssim"))]
     rows = []
     for effort in efforts:
-        of = [lab.ours(name, picture, EFFORT_RATIO, [] if effort == DEFAULT_EFFORT else ["--effort", effort]) for picture in covered]
+        of = [lab.ours(name, picture, ratio, [] if effort == DEFAULT_EFFORT else ["--effort", effort]) for picture in covered]
         rows.append(row(f"ssplat, effort {effort}", [made["seconds"] for made in of], of))
     for speed, found in speeds.items():
         seconds = []
@@ -108,20 +108,25 @@ def effort_rows(lab, name, set_name, efforts):
 
 
 def write(lab, root):
-    """Measures the sets with the first program, and writes their tables and the chart."""
+    """Measures the sets with the first program. With --page, writes their tables and the chart; with --efforts, the table
+    of encoding times."""
     args, name = lab.args, next(iter(lab.programs))
     tables, panels, rows = {}, {}, []
-    for set_name in args.sets.split(","):
+    when = measured_when(args.commit or commit_of(root))
+    for set_name in args.sets.split(",") if args.page else []:
         found = {ratio: measured_set(lab, name, set_name, ratio) for ratio in (args.ratios.split(",") if args.ratios else RATIOS[set_name])}
         tables[f"set {set_name}"] = set_table(found)
         panels[set_name] = panel(set_name, found)
         print(f"{set_name}\n{tables[f'set {set_name}']}", flush=True)
+    if args.page:
+        tables["sets when"] = when
     for set_name in args.sets.split(",") if args.efforts else []:
-        rows += effort_rows(lab, name, set_name, args.efforts.split(","))
+        for ratio in EFFORT_RATIOS:
+            rows += effort_rows(lab, name, set_name, ratio, args.efforts.split(","))
+            print(set_name, ratio, "efforts done", flush=True)
     if rows:
-        tables["set efforts"] = table(["set", "pictures", "encoder", "CPU s", *HEAD[:3]], rows, 3)
+        tables["set efforts"] = table(["set", "ratio", "pictures", "encoder", "CPU s", *HEAD[:3]], rows, 4) + f"\n\n{when}"
         print(tables["set efforts"], flush=True)
-    tables["sets when"] = measured_when(args.commit or commit_of(root))
     write_tables(root / "docs/BENCHMARKS.md", tables)
     if all(set_name in panels for set_name in CHART):
         chart = multiples(dict(panels[set_name] for set_name in CHART), (0.1, 5.0, (0.1, 0.2, 0.5, 1, 2, 5), "bits per pixel (24 divided by the ratio)"), (-20, 100, 20))

@@ -5,7 +5,7 @@ equal bytes.
     python lab/sets.py PICTURES old=target/old/ssplat new=target/release/ssplat
     python lab/sets.py PICTURES new=target/release/ssplat --sets clic --ratios 50,100 --half choose --options "--effort 3"
     python lab/sets.py PICTURES ssplat=target/release/ssplat --shares off,0.1,0.25,0.5,0.75 --table shares.txt
-    python lab/sets.py PICTURES ssplat=target/release/ssplat --half judge --page --efforts 1,3,5,7
+    python lab/sets.py PICTURES ssplat=target/release/ssplat --half judge --page --efforts 1,2,3,5,7
 
 PICTURES contains one folder for each set in lab/sets.json. That file divides each set into a half for choosing constants of
 the encoder and a half for evaluating them. A program may have its own options and environment variables: "wide=target/release/ssplat --detail 0.5", "slow=RATE=0.5 target/release/ssplat".
@@ -19,8 +19,8 @@ program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, in
 the results. lab/fit_division.py fits the constants of src/encode/layer/division.rs.
 
 --page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
-XL (effort 7) and WebP (method 6). --efforts adds the table of encoding times. Both need Pillow 12 or newer and the package
-pillow-jxl-plugin.
+XL (effort 7) and WebP (method 6). --efforts writes the table of encoding times, alone or with --page. Both need Pillow 12 or
+newer and the package pillow-jxl-plugin.
 """
 import argparse, hashlib, json, os, pathlib, shlex, tempfile
 
@@ -50,8 +50,8 @@ def arguments():
     parser.add_argument("--shares", default="", help="values of --detail to try, separated by commas")
     parser.add_argument("--table", type=pathlib.Path, help="file to which the table of shares is written")
     parser.add_argument("--page", action="store_true", help="write the tables of the first program into docs/BENCHMARKS.md, and docs/sets.svg")
-    parser.add_argument("--efforts", default="", help="with --page: efforts of the table of encoding times, separated by commas")
-    parser.add_argument("--commit", help="with --page: the commit of the program; by default that of this folder")
+    parser.add_argument("--efforts", default="", help="write the table of encoding times at these efforts, separated by commas, into docs/BENCHMARKS.md")
+    parser.add_argument("--commit", help="with --page or --efforts: the commit of the program; by default that of this folder")
     args = parser.parse_args()
     if not args.page:
         args.ratios = args.ratios or "20,50,100,200"
@@ -183,7 +183,7 @@ def shares(lab):
 
 if __name__ == "__main__":
     lab = Lab(arguments())
-    if lab.args.page:
+    if lab.args.page or lab.args.efforts:
         set_tables.write(lab, root)
     elif lab.args.shares:
         shares(lab)

@@ -97,6 +97,13 @@ fn layers() -> Vec<Row> {
         change(&mut head);
         head
     };
+    let seen = |step: u16, slopes: [u8; 2], chroma: [u8; 2]| {
+        let mut head = DetailHead::SEEN;
+        (head.step, head.slopes, head.chroma) = (step, slopes, chroma);
+        head
+    };
+    let mut drawing = seen(600, [20, 40], [64, 32]);
+    drawing.sizes[1][0] = drawing.sizes[0][0];
     let cases = [
         ("step 1, levels to 9", head(|h| h.step = 1), 9),
         ("step 1, levels to 32767", head(|h| h.step = 1), 32_767),
@@ -107,6 +114,12 @@ fn layers() -> Vec<Row> {
             { head(|h| (h.step, h.slopes, h.classes, h.chroma) = (900, [255, 255], 8, [255, 255])) },
             5,
         ),
+        // The steps of `--tune iq` at both ends of its range and beyond them, and those of drawings.
+        ("steps for perceptual quality, step 1", seen(1, [10, 40], [80, 40]), 32_767),
+        ("steps for perceptual quality, step 100", seen(100, [10, 40], [80, 40]), 255),
+        ("steps for perceptual quality, step 3000", seen(3000, [130, 60], [64, 32]), 15),
+        ("steps for perceptual quality, step 65535", seen(65_535, [130, 60], [64, 32]), 32_767),
+        ("steps for drawings, step 600", drawing, 63),
         ("blocks of 4", head(|h| h.sizes = [[0, 0], [0, 0]]), 4),
         ("blocks of 32", head(|h| h.sizes = [[3, 3], [3, 3]]), 4),
     ];

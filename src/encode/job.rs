@@ -111,7 +111,7 @@ impl WholeSession<'_> {
         let FileWriter { mut splats, .. } = writer;
         splats.gaussians = finished.rounded.gaussians;
         self.report.stage("finish", clock);
-        Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
+        Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None, pruned_bytes: 0 })
     }
 }
 

@@ -9,6 +9,10 @@ use crate::error::Result;
 /// Encodes as the options request, and reports the result.
 pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     let outcome = rate_control::to_target(&mut session)?;
+    // Only what the written file leaves out counts, not what discarded tries of a search left out.
+    if outcome.pruned_bytes > 0 {
+        session.report().note(SkipReason::Primitives, outcome.pruned_bytes, 0.0);
+    }
     note_codebook(&mut session, &outcome)?;
     let error = session.error(&outcome.splats)?;
     session.trace_end(&outcome.splats, error)?;

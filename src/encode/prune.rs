@@ -3,7 +3,6 @@
 use super::file;
 use super::input::stored_scene;
 use super::session::{EncodeSession, Outcome};
-use super::skipped::SkipReason;
 use super::whole::WholeSession;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
@@ -26,7 +25,7 @@ impl WholeSession<'_> {
         let Some(pruned) = pruned(&problem, &outcome.splats, max_error, &|| time.is_over()) else { return Ok(()) };
         let file = self.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
-            self.report.note(SkipReason::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
+            outcome.pruned_bytes += (outcome.bytes.len() - file.len()) as u64;
             (outcome.bytes, outcome.splats) = (file, pruned);
         }
         self.report.stage("prune", clock);

@@ -25,6 +25,8 @@ pub(super) struct Outcome {
     pub float_error: f64,
     /// SSIMULACRA2 score of the decoded file, if it was measured.
     pub quality: Option<f64>,
+    /// Bytes that removing unneeded primitives saved in this file.
+    pub pruned_bytes: u64,
 }
 
 impl Outcome {

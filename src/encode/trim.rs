@@ -5,7 +5,6 @@ use super::input::stored_scene;
 use super::rate_control::AIM_ABOVE;
 use super::score::score;
 use super::session::{EncodeSession, Outcome};
-use super::skipped::SkipReason;
 use super::whole::WholeSession;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
@@ -76,7 +75,7 @@ impl WholeSession<'_> {
             let narrow = file::smallest(&mut fewer, 1)?;
             let bytes = if self.fits_all_channels() { narrow } else { self.file(&fewer)? };
             if bytes.len() < outcome.bytes.len() {
-                self.report.note(SkipReason::Primitives, (outcome.bytes.len() - bytes.len()) as u64, 0.0);
+                outcome.pruned_bytes += (outcome.bytes.len() - bytes.len()) as u64;
                 (outcome.bytes, outcome.splats, outcome.quality) = (bytes, fewer, points);
             }
         }

@@ -206,7 +206,7 @@ impl WholeSession<'_> {
                 PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
             let error = self.error_of(&outcome.splats);
             if error.is_nan() || error > self.error_of(&alone) {
-                (outcome.bytes, outcome.splats) = (self.file(&alone)?, alone);
+                (outcome.bytes, outcome.splats, outcome.pruned_bytes) = (self.file(&alone)?, alone, 0);
             }
             let over = if request.under_layer.is_some() { 0 } else { size.exceeded_by(&outcome.bytes) };
             if over == 0 {

@@ -32,3 +32,19 @@ pub fn line(side: u32, width: f64, angle: f64, x: u32, y: u32) -> f64 {
     let distance = (dy * angle.cos() - dx * angle.sin()).abs();
     (width / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
 }
+
+/// Returns a diagram of `side` pixels: two axes, three straight lines in saturated colours and a bar, on white.
+pub fn diagram(side: u32) -> Pixels {
+    const INKS: [[f64; 3]; 3] = [[0.85, 0.1, 0.1], [0.05, 0.35, 0.8], [0.1, 0.6, 0.2]];
+    picture(side, side, Channels::Rgb, |x, y, k| {
+        let edge = side / 10;
+        if x == edge || y == side - edge {
+            return 0.0;
+        }
+        if (edge..2 * edge).contains(&x) && (side / 2..side - edge).contains(&y) {
+            return [0.95, 0.75, 0.3][k];
+        }
+        let strokes = INKS.iter().enumerate().map(|(i, ink)| (line(side, 1.5, 0.3 + 0.45 * i as f64, x, y), ink[k]));
+        strokes.fold(1.0, |under, (cover, ink)| under + (ink - under) * cover)
+    })
+}

@@ -7,7 +7,7 @@ use ssplat::{Channels, Pixels, Target};
 
 #[allow(unused_imports, reason = "not all who share this make pictures of their own")]
 pub use made::picture;
-use made::{line, noise};
+use made::{diagram, line, noise};
 pub use row::{Bound, Row};
 
 /// A picture to fit.
@@ -58,6 +58,10 @@ pub fn fits() -> Vec<Fit> {
         // As many primitives as a ratio of 2 requires are slow even for a tiny picture.
         let pixels = if ratio < 5.0 { picture(40, 40, Rgb, noise) } else { wave() };
         list.push((format!("ratio {ratio}"), pixels, Target::Ratio(ratio)));
+    }
+    // The layer of a drawing has other steps than that of a photograph.
+    for ratio in [3.0, 30.0, 100.0] {
+        list.push((format!("diagram, ratio {ratio}"), diagram(96), Target::Ratio(ratio)));
     }
     // A symmetric gradient: a file of a few dozen bytes for millions of samples.
     let wide =

@@ -2,10 +2,8 @@
 //! data.
 
 use serde_json::{Value, json};
-use ssplat::unstable::{EncodeOptions, encode};
-use ssplat::unstable::{Needs, metrics};
-use ssplat::{Limits, Pixels, Target, Tune};
-use ssplat::{Renderer, View};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, Needs, encode, metrics};
+use ssplat::{Pixels, Target, Tune};
 
 use super::scenes;
 
@@ -64,15 +62,43 @@ pub fn from_json(v: &Value) -> Option<Needless> {
     })
 }
 
+/// A picture of the table, and how it is encoded.
+pub struct Scene {
+    pub name: String,
+    pub pixels: Pixels,
+    pub target: Target,
+    pub tune: Tune,
+}
+
+impl Scene {
+    /// A scene with at most 400 primitives and without a layer, for the lowest squared error.
+    fn of_primitives(name: &str, pixels: Pixels) -> Self {
+        Scene { name: name.into(), pixels, target: Target::Primitives(400), tune: Tune::Psnr }
+    }
+
+    /// A scene with the default tuning, which has a detail layer at most ratios.
+    fn of_ratio(name: &str, pixels: Pixels, ratio: f64) -> Self {
+        Scene { name: format!("{name}, ratio {ratio}"), pixels, target: Target::Ratio(ratio), tune: Tune::Iq }
+    }
+}
+
 /// Returns the scenes of the table; the photograph is a crop of `photograph`.
-pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
+pub fn list(photograph: Option<Pixels>) -> Vec<Scene> {
     let mut list = vec![
-        ("flat icon, opaque alpha".to_string(), scenes::icon()),
-        ("grey scan stored as colour".into(), scenes::scan()),
-        ("gradient".into(), scenes::gradient()),
-        ("text page stored as colour".into(), scenes::text()),
+        Scene::of_primitives("flat icon, opaque alpha", scenes::icon()),
+        Scene::of_primitives("grey scan stored as colour", scenes::scan()),
+        Scene::of_primitives("gradient", scenes::gradient()),
+        Scene::of_primitives("text page stored as colour", scenes::text()),
+        Scene::of_primitives("diagram", scenes::diagram(256)),
+        Scene::of_ratio("flat icon, opaque alpha", scenes::icon(), 50.0),
+        Scene::of_ratio("grey scan stored as colour", scenes::scan(), 50.0),
+        Scene::of_ratio("diagram", scenes::diagram(256), 50.0),
+        Scene::of_ratio("diagram", scenes::diagram(256), 200.0),
     ];
-    list.extend(photograph.map(|p| ("photograph".into(), p)));
+    if let Some(photograph) = photograph {
+        list.push(Scene::of_primitives("photograph", photograph.clone()));
+        list.push(Scene::of_ratio("photograph", photograph, 50.0));
+    }
     list
 }
 
@@ -80,20 +106,18 @@ pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
 ///
 /// # Errors
 /// Errors of the encoder and of the decoder.
-pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
+pub fn measure(Scene { name, pixels, target, tune }: &Scene) -> ssplat::Result<Needless> {
     let mut options = EncodeOptions::default();
-    options.target = Target::Primitives(400);
+    options.target = *target;
     options.effort = EFFORT;
-    options.tune = Some(Tune::Psnr);
-    let mut out = Needless { scene: name.into(), what: Vec::new(), bytes: [0; 2], seconds: [0.0; 2], psnr: [0.0; 2] };
+    options.tune = Some(*tune);
+    let mut out = Needless { scene: name.clone(), what: Vec::new(), bytes: [0; 2], seconds: [0.0; 2], psnr: [0.0; 2] };
     let both = [Needs::Everything, Needs::Measured].into_iter().enumerate();
     let all = (0..SEEDS).flat_map(|seed| both.clone().map(move |(i, needs)| (seed, i, needs)));
     for (seed, i, needs) in all {
         (options.seed, options.needs) = (seed, needs);
         let encoded = encode(pixels, &options)?;
-        let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default())?;
-        let picture = splats.to_gaussians();
-        let drawn = Renderer::new(&picture, &View::full(&picture), &Limits::default())?.render(splats.depth)?;
+        let drawn = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
         out.bytes[i] += encoded.bytes.len() as u64;
         out.seconds[i] += encoded.report.seconds / SEEDS as f64;
         out.psnr[i] += metrics::psnr(pixels, &drawn)?.min(99.0) / SEEDS as f64;

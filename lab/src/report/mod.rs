@@ -176,12 +176,13 @@ fn anchors(args: &args::Report, kept: &Path, subjects: &[Subject]) -> Result<Vec
 fn scenes(kept: &Path, photograph: &Subject) -> Result<Vec<Needless>, Failure> {
     let list = left_out::list(piece(&photograph.pixels));
     let mut rows = Vec::new();
-    for (name, pixels) in &list {
+    for scene in &list {
+        let name = &scene.name;
         let path = kept.join(format!("scene-{}.json", name.replace(|c: char| !c.is_ascii_alphanumeric(), "-")));
         let row = match std::fs::read(&path).ok().and_then(|b| left_out::from_json(&serde_json::from_slice(&b).ok()?)) {
             Some(row) => row,
             None => {
-                let row = left_out::measure(name, pixels).map_err(|e| Failure::library(Path::new(name), &e))?;
+                let row = left_out::measure(scene).map_err(|e| Failure::library(Path::new(name), &e))?;
                 std::fs::write(&path, row.as_json().to_string()).map_err(|e| Failure::io(&path, &e))?;
                 row
             }

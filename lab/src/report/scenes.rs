@@ -3,6 +3,7 @@
 #[path = "../../../tests/stiff/made.rs"]
 mod made;
 
+pub use made::diagram;
 use made::{line, noise, picture};
 use ssplat::{Channels, Pixels};
 

@@ -112,7 +112,7 @@ fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result
     }
     session.report().note(SkipReason::Fit, 0, 0.0);
     let float_error = session.fitted_error(&splats)?;
-    Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
+    Ok(Some(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 }))
 }
 
 /// Curve, goal and time limit of a search.

@@ -44,7 +44,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
             Size::Bytes(max_bytes) if bytes.len() as u64 > max_bytes => {
                 Err(self.session.too_small(max_bytes, bytes.len() as u64))
             }
-            _ => Ok(Outcome { bytes, splats, float_error, quality: None }),
+            _ => Ok(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 }),
         }
     }
 }
