@@ -7,15 +7,29 @@ import bisect, dataclasses, hashlib, json, math, os, pathlib, statistics, subpro
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
 
+# Runs a command and writes its exit status, CPU seconds and peak memory in KB to a file. The peak memory of a process
+# includes that of the process that forks it, so a small interpreter does that.
+MEASURE = """
+import json, os, sys
+child = os.fork()
+if not child:
+    os.execvp(sys.argv[2], sys.argv[2:])
+_, status, used = os.wait4(child, 0)
+with open(sys.argv[1], "w") as file:
+    json.dump([status, used.ru_utime + used.ru_stime, used.ru_maxrss], file)
+"""
+
+
 def run(command, variables={}):
     """Runs a command and returns its output, CPU seconds and peak memory in MB."""
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        child = subprocess.Popen([str(part) for part in command], stdout=out, stderr=err, env=os.environ | variables)
-        _, status, used = os.wait4(child.pid, 0)
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, tempfile.NamedTemporaryFile() as result:
+        words = [sys.executable, "-I", "-S", "-c", MEASURE, result.name, *(str(part) for part in command)]
+        subprocess.run(words, stdout=out, stderr=err, env=os.environ | variables, check=True)
         out.seek(0), err.seek(0)
+        status, seconds, kilobytes = json.load(result)
         if status:
             sys.exit(f"{' '.join(map(str, command))}: {err.read().decode()}")
-        return out.read().decode(), used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+        return out.read().decode(), seconds, kilobytes / 1024
 
 
 def mean(values):
