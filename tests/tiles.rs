@@ -575,7 +575,6 @@ fn options_that_exclude_tiles_are_parameter_errors() {
     refused("tiles", &|o| o.tiles = Some(0));
     refused("tiles", &|o| o.tiles = Some(100));
     refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
-    refused("tiles", &|o| o.backend = Backend::Gpu);
     let small = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3), Some(128)));
     assert!(matches!(small, Err(Error::TooSmall { allowed: 3, .. })), "{small:?}");
 }

@@ -21,7 +21,7 @@ use crate::strict_math::StrictMath;
 /// of family 6).
 const SECONDS: [(f64, f64); 9] = [
     (0.7, 1.05),
-    (1.27, 1.0),
+    (1.2, 1.0),
     (1.95, 0.85),
     (2.3, 0.75),
     (2.6, 0.67),
@@ -69,6 +69,7 @@ mod tests {
         let effort = |effort, time: Option<f64>, side| {
             affordable(
                 [side; 2],
+                Channels::Rgb,
                 &EncodeOptions { effort, time: time.map(Duration::from_secs_f64), ..EncodeOptions::default() },
             )
         };
