@@ -209,8 +209,8 @@ pub struct Many {
     /// Skip inputs whose outputs exist
     #[arg(help_heading = "Several files", long, requires = "out_dir", conflicts_with = "overwrite")]
     pub skip_existing: bool,
-    /// Replace outputs that exist
-    #[arg(help_heading = "Several files", long, requires = "out_dir")]
+    /// Replace outputs that exist; a single output is always replaced
+    #[arg(help_heading = "Several files", long)]
     pub overwrite: bool,
     /// Append a line of JSON for each input to this file
     #[arg(help_heading = "Several files", long, value_name = "JSONL", requires = "out_dir")]

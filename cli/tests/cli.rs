@@ -1038,6 +1038,19 @@ fn many(inputs: &[&Path], folder: &Path, more: &[&str]) -> Output {
 }
 
 #[test]
+fn a_single_output_is_replaced_with_and_without_the_option() {
+    let folder = Folder::new();
+    small().save(folder.path("a.png")).unwrap();
+    for options in [&[][..], &["--overwrite"]] {
+        let file = folder.path("a.ssplat");
+        fs::write(&file, "something else").unwrap();
+        succeeds(quick(&folder.path("a.png"), &file, options));
+        assert!(fs::metadata(&file).unwrap().len() > 20);
+        assert!(fs::read(&file).unwrap() != b"something else");
+    }
+}
+
+#[test]
 fn a_batch_gives_the_same_files_and_a_broken_input_stops_no_other() {
     let folder = Folder::new();
     fs::create_dir_all(folder.path("in/deep")).unwrap();

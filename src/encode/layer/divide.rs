@@ -30,8 +30,6 @@ const MIN_GAIN: f64 = 0.22;
 /// Bytes of the layer for which sharpness is measured, relative to those of the base. Findings at a ratio of 50 hold at
 /// other ratios.
 const MEASURED_LAYER: f64 = 1.9;
-/// Fraction of a time budget for the Gaussians.
-pub(in crate::encode) const BASE_TIME: f64 = 0.72;
 /// Maximum factor by which these Gaussians may exceed their byte budget.
 const MAX_OVERSHOOT: f64 = 1.1;
 
@@ -130,7 +128,9 @@ impl WholeSession<'_> {
     /// Fits Gaussians of `bytes` bytes, without header and metadata, as the base of a layer. The fit continues `initial`
     /// if there are any.
     fn base(&mut self, bytes: u64, division: &Division, initial: Vec<Primitive>) -> Result<Outcome> {
-        let time = division.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
+        let time = division
+            .until
+            .map(|end| end.saturating_duration_since(Instant::now()).mul_f64(base_time(self.input.options.effort)));
         let ratio = self.samples() / division.shared as f64;
         let under_layer = UnderLayer {
             // A search runs several fits, so it does not extend them for large files.
@@ -230,6 +230,12 @@ impl WholeSession<'_> {
         let peaks = peaks::peaks(&problem, &field, RowSet::ALL, count, count);
         peaks.iter().map(|peak| f64::from(peak.gain)).sum::<f64>() / error.max(f64::MIN_POSITIVE)
     }
+}
+
+/// Returns the fraction of a time budget for the Gaussians. At effort 1, whose fit is short, the layer takes a larger
+/// part of the time.
+pub(in crate::encode) fn base_time(effort: u8) -> f64 {
+    if effort == 1 { 0.72 } else { 0.88 }
 }
 
 /// Returns whether the encoder tries several sizes until the file reaches the requested quality.

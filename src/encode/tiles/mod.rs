@@ -29,7 +29,7 @@ use super::drawn::drawn_part;
 use super::hidden::InpaintedSource;
 use super::input::{self, may_leave_out};
 use super::job::{excess, sufficient_error};
-use super::layer::divide::{BASE_TIME, is_search};
+use super::layer::divide::{base_time, is_search};
 use super::layer::division::base_without_texture;
 use super::layer::layered_in_parts;
 use super::layer::parts::error_between;
@@ -208,7 +208,8 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
             Some(base) => base,
             None => {
                 let count = count_for(self.options, fixed + budget, fixed, self.samples())?;
-                let time = until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
+                let time = until
+                    .map(|end| end.saturating_duration_since(Instant::now()).mul_f64(base_time(self.options.effort)));
                 let base = self.gaussians(count, [Size::Bytes(fixed + budget), size], time)?;
                 if is_search(self.options.target) {
                     self.kept = Some(KeptBase { base: base.clone(), base_budget: budget as f64 });
