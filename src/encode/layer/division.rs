@@ -47,16 +47,16 @@ const MAX_PATIENCE: f32 = 2.0;
 const MAX_RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
 /// Fineness at which a layer is worth as much as the same bytes of Gaussians, for pictures of [`FINE_PIXELS`] at
-/// [`FINE_RATIO`]. The first value is for effort 1, whose short fits under a layer use bytes less efficiently. The
-/// second is for effort 2 and above. The ratio grows with the square of the fineness and with a power of the number of
-/// pixels. At effort 1 and a ratio of 100, this rule finds the better choice for 18 of 19 pictures of CID22 and
-/// graphics. At effort 3 and the same ratio, a layer gains 0.1 to 7.9 SSIMULACRA2 points on all of 14 pictures.
-const FINE: [f64; 2] = [0.71, 0.42];
+/// [`FINE_RATIO`]. The ratio grows with the square of the fineness and with a power of the number of pixels. At effort 3
+/// and a ratio of 100, a layer gains 0.1 to 7.9 SSIMULACRA2 points on all of 14 pictures. At effort 1, Gaussians alone
+/// would gain 0.3 and 0.9 points on Kodak and CID22 at a ratio of 100 and 2.5 and 0.7 at 200, but take 1.4 to 5 times as
+/// long, more than effort 2.
+const FINE: f64 = 0.42;
 const FINE_RATIO: f64 = 100.0;
 const FINE_PIXELS: f64 = 262_144.0;
 const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
-/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer from effort 2 on. At a ratio of 200, three diagrams
-/// gain 4 to 6 points with a layer.
+/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer. At a ratio of 200, three diagrams gain 4 to 6 points
+/// with a layer.
 const DRAWING_RATIO: f64 = 250.0;
 /// Ratio up to which texture does not rule out a layer.
 const ALWAYS_RATIO: f64 = 80.0;
@@ -107,13 +107,12 @@ pub(super) fn max_sharpness(effort: u8, ratio: f64) -> f64 {
 
 /// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is known only with
 /// perceptual tuning.
-pub(super) fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
+pub(super) fn largest_ratio(pixels: u64, texture: Option<Texture>) -> f64 {
     let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
-    let fine = FINE[usize::from(effort > 1)];
     let larger = (pixels as f64 / FINE_PIXELS).strict_powf(FINE_RATIO_POWER);
-    let of_drawing = if effort > 1 && texture.is_drawing() { DRAWING_RATIO * larger } else { 0.0 };
-    usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / fine).powi(2) * larger).max(of_drawing)
+    let of_drawing = if texture.is_drawing() { DRAWING_RATIO * larger } else { 0.0 };
+    usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / FINE).powi(2) * larger).max(of_drawing)
 }
 
 /// Returns whether a picture of `samples` samples gains from a layer in a file of `bytes` bytes. `largest` is the
@@ -177,7 +176,7 @@ pub(in crate::encode) fn base_without_texture(
     match options.detail {
         _ if !may_have_layer(options) => None,
         Detail::Share(share) => Some((all * share) as u64),
-        Detail::Auto if is_worth_a_layer(samples, shared, largest_ratio(options.effort, pixels, None)) => {
+        Detail::Auto if is_worth_a_layer(samples, shared, largest_ratio(pixels, None)) => {
             Some(base_bytes(options.effort, pixels, None, (samples / all).max(20.0), all) as u64)
         }
         _ => None,
@@ -196,19 +195,18 @@ mod tests {
 
     #[test]
     fn fine_pictures_have_a_layer_at_larger_ratios_than_coarse_pictures() {
-        let has = |effort, texture, ratio: u64| {
+        let has = |texture, ratio: u64| {
             let (samples, bytes) = (3 * PIXELS_OF_512, 3 * PIXELS_OF_512 / ratio);
-            is_worth_a_layer(samples as f64, bytes, largest_ratio(effort, PIXELS_OF_512, texture))
+            is_worth_a_layer(samples as f64, bytes, largest_ratio(PIXELS_OF_512, texture))
         };
         let [coarse, fine] = [0.46, 1.2].map(|fineness| texture(fineness, 4.0));
-        assert_eq!([50, 100, 200].map(|ratio| has(5, coarse, ratio)), [true, true, false]);
-        assert_eq!([50, 100, 200].map(|ratio| has(5, fine, ratio)), [true, true, true]);
-        assert_eq!([50, 100, 200].map(|ratio| has(1, coarse, ratio)), [true, false, false]);
-        assert_eq!([50, 100, 200].map(|ratio| has(1, None, ratio)), [true, false, false]);
+        assert_eq!([50, 100, 200].map(|ratio| has(coarse, ratio)), [true, true, false]);
+        assert_eq!([50, 100, 200].map(|ratio| has(fine, ratio)), [true, true, true]);
+        assert_eq!([50, 100, 200].map(|ratio| has(None, ratio)), [true, false, false]);
         // Files below the minimum size have no layer, whatever the picture.
-        assert!(!has(5, texture(9.0, 4.0), 400));
+        assert!(!has(texture(9.0, 4.0), 400));
         // Larger pictures gain from a layer at larger ratios.
-        assert!(largest_ratio(5, 10 * PIXELS_OF_512, coarse) > 4.0 * largest_ratio(5, PIXELS_OF_512, coarse));
+        assert!(largest_ratio(10 * PIXELS_OF_512, coarse) > 4.0 * largest_ratio(PIXELS_OF_512, coarse));
     }
 
     #[test]
