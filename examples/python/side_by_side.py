@@ -6,7 +6,8 @@ Each row shows the same part of a picture four times: the original; PROGRAM's fi
 its file for the best perceptual quality (`--tune iq`, the default); and the largest AVIF file that is not larger, by
 libavif's tune=iq, with chroma of half or of full resolution, whichever has the higher SSIMULACRA2. The part is the one
 with the median amount of detail, and is chosen from the original alone; `--parts` takes other quantiles of the detail,
-for example 0.5,1 for a second row with the most detailed part. Needs NumPy, and Pillow 12 or later with AVIF.
+for example 0.5,1 for a second row with the most detailed part. `--middle 2048x1536` encodes only that part of each
+picture, from its middle. Needs NumPy, and Pillow 12 or later with AVIF.
 """
 
 import argparse
@@ -33,6 +34,13 @@ def part_of(picture, quantile):
             corners[x, y] = abs(np.diff(part, axis=0)).mean() + abs(np.diff(part, axis=1)).mean()
     ordered = sorted(corners, key=lambda corner: (corners[corner], corner))
     return ordered[min(int(quantile * len(ordered)), len(ordered) - 1)]
+
+
+def middle_of(picture, size):
+    """Cuts out a part of `size` (or of the whole picture, where it is smaller) from the middle."""
+    (width, height), (left, top) = size, ((whole - part) // 2 for whole, part in zip(picture.size, size))
+    left, top = max(left, 0), max(top, 0)
+    return picture.crop((left, top, min(left + width, picture.width), min(top + height, picture.height)))
 
 
 def avif(picture, most, speed, subsampling):
@@ -80,18 +88,24 @@ def main():
     parser.add_argument("pictures", nargs="+", type=pathlib.Path)
     parser.add_argument("--ratio", type=float, default=50)
     parser.add_argument("--parts", default="0.5", help="quantiles of the amount of detail, one row each [default: 0.5]")
+    parser.add_argument("--middle", metavar="WIDTHxHEIGHT", help="encode only a part of this size from the middle")
     parser.add_argument("--speed", type=int, default=3, help="speed of AVIF's encoder [default: 3]")
     parser.add_argument("--quality", type=int, default=82, help="quality of the sheet's WebP file [default: 82]")
     parser.add_argument("--sheet", type=pathlib.Path, required=True)
     given = parser.parse_args()
     quantiles = [float(word) for word in given.parts.split(",")]
+    middle = given.middle and tuple(int(word) for word in given.middle.split("x"))
     (width, height), rows = PART, len(given.pictures) * len(quantiles)
     sheet = Image.new("RGB", (width * COLUMNS, (height + TITLES) * rows), "white")
     pen = ImageDraw.Draw(sheet)
     with tempfile.TemporaryDirectory() as folder:
         for number, source in enumerate(given.pictures):
-            picture = Image.open(source).convert("RGB")
-            shown = [(picture, f"{source.stem}: original", 0)]
+            picture, name = Image.open(source).convert("RGB"), source.stem
+            if middle:
+                picture, source = middle_of(picture, middle), pathlib.Path(folder, "middle.png")
+                picture.info.clear()
+                picture.save(source)
+            shown = [(picture, f"{name}: original", 0)]
             for tune in ("psnr", "iq"):
                 decoded, size = ours(given.program, source, tune, given.ratio, folder)
                 shown.append((decoded, f"--tune {tune}, {size} bytes", size))
@@ -103,7 +117,7 @@ def main():
                 for column, (seen, title, _) in enumerate(shown):
                     pen.text((column * width + 2, top + 1), title, "black")
                     sheet.paste(seen.crop((x, y, x + width, y + height)), (column * width, top + TITLES))
-            print(source.stem, *(size for *_, size in shown[1:]), flush=True)
+            print(name, *(size for *_, size in shown[1:]), flush=True)
     sheet.save(given.sheet, quality=given.quality, method=6)
 
 
