@@ -116,9 +116,11 @@ def write(lab, root):
     for set_name in args.sets.split(",") if args.page else []:
         found = {ratio: measured_set(lab, name, set_name, ratio) for ratio in (args.ratios.split(",") if args.ratios else RATIOS[set_name])}
         tables[f"set {set_name}"] = set_table(found)
+        if set_name not in CHART:
+            tables[f"set {set_name}"] += f"\n\n{when}"
         panels[set_name] = panel(set_name, found)
         print(f"{set_name}\n{tables[f'set {set_name}']}", flush=True)
-    if args.page:
+    if any(set_name in panels for set_name in CHART):
         tables["sets when"] = when
     for set_name in args.sets.split(",") if args.efforts else []:
         for ratio in EFFORT_RATIOS:

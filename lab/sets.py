@@ -6,6 +6,8 @@ equal bytes.
     python lab/sets.py PICTURES new=target/release/ssplat --sets clic --ratios 50,100 --half choose --options "--effort 3"
     python lab/sets.py PICTURES ssplat=target/release/ssplat --shares off,0.1,0.25,0.5,0.75 --table shares.txt
     python lab/sets.py PICTURES ssplat=target/release/ssplat --half judge --page --efforts 1,2,3,5,7
+    python lab/sets.py PICTURES ssplat=target/release/ssplat --half judge --page --sets large --crop 2048 --ratios 50,200
+    python lab/sets.py PICTURES "7=target/release/ssplat --tune psnr --effort 7" --half judge --sets kodak --no-avif --vvc
 
 PICTURES contains one folder for each set in lab/sets.json. That file divides each set into a half for choosing constants of
 the encoder and a half for evaluating them. A program may have its own options and environment variables: "wide=target/release/ssplat --detail 0.5", "slow=RATE=0.5 target/release/ssplat".
@@ -13,19 +15,20 @@ the encoder and a half for evaluating them. A program may have its own options a
 Pictures are first copied without their metadata, so that all codecs store only pixels. The programs encode each picture in turn, on
 one thread. `compare` of the first program measures all files. Results are cached in --cache by the hash of the program, so that an
 interrupted command can be continued. For each set and ratio, the command prints the means of every program, its gain over the first
-program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, interpolated to its bytes.
+program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, interpolated to its bytes. With --vvc, it
+also prints the lead in PSNR over vvenc (medium), interpolated to its bytes from docs/kodak-modern.csv.
 
 --shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
 the results. lab/fit_division.py fits the constants of src/encode/layer/division.rs.
 
 --page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
-XL (effort 7) and WebP (method 6). --efforts writes the table of encoding times, alone or with --page. Both need Pillow 12 or
-newer and the package pillow-jxl-plugin.
+XL (effort 7) and WebP (method 6). The chart is written if all four of its sets are measured. --efforts writes the table of
+encoding times, alone or with --page. Both need Pillow 12 or newer and the package pillow-jxl-plugin.
 """
-import argparse, hashlib, json, os, pathlib, shlex, tempfile
+import argparse, csv, hashlib, json, os, pathlib, shlex, tempfile
 
 import set_tables
-from other_codecs import MEASURES, Cache, Files, avif, mean, measured, run
+from other_codecs import MEASURES, Cache, Files, at, avif, mean, measured, run
 from set_tables import leads, stem_of
 
 root = pathlib.Path(__file__).resolve().parent.parent
@@ -43,6 +46,7 @@ def arguments():
     parser.add_argument("--kind", choices=["rgb", "grey", "alpha", "16"], default="rgb", help="converts the pictures: to grey, to an oval on nothing, or to 16 bits per sample; without AVIF")
     parser.add_argument("--crop", type=int, default=0, help="encode only a square of this side in the middle of each picture")
     parser.add_argument("--no-avif", action="store_true")
+    parser.add_argument("--vvc", action="store_true", help="compare the PSNR with VVC; only for kodak")
     parser.add_argument("--avif-speed", type=int, default=6)
     parser.add_argument("--cache", type=pathlib.Path, default=root / "target/sets")
     parser.add_argument("--repeat", type=int, default=1, help="number of encodes of each file; the time is that of the fastest")
@@ -126,8 +130,21 @@ class Lab:
         return self.cache.kept(f"{build} {variables or ''} {picture.name} {options}", work)
 
 
+def vvc_points():
+    """Returns the bytes and PSNR of VVC's files, and of the exact ratios between them, by the name of the picture."""
+    points = {}
+    with (root / "docs/kodak-modern.csv").open() as file:
+        for row in csv.DictReader(file):
+            if row["codec"] == "vvc-medium":
+                exact = 768 * 512 * 3 / float(row["target_cr"])
+                pairs = ((row["bytes"], row["psnr"]), (exact, row["psnr_at_target"]))
+                points.setdefault(row["image"].removesuffix(".png"), []).extend({"bytes": float(size), "psnr": float(psnr)} for size, psnr in pairs)
+    return points
+
+
 def compare(lab):
     args = lab.args
+    vvc = vvc_points() if args.vvc else {}
     names = list(lab.programs)
     print("set ratio n | program bytes PSNR SSIMULACRA2 Butteraugli MS-SSIM CPU-s | gain over the first: PSNR SSIMULACRA2 (worst picture) Butteraugli time | lead over AVIF in SSIMULACRA2 (n, ahead, worst), Butteraugli, MS-SSIM")
     for set_name in args.sets.split(","):
@@ -152,6 +169,9 @@ def compare(lab):
                         over = {key: mean([lead[key] for _, lead in ahead]) for key in MEASURES}
                         worst = min(ahead, key=lambda lead: lead[1]["ssimulacra2"])
                         line += f" | AVIF {over['ssimulacra2']:+.2f} ({len(ahead)}, {sum(lead['ssimulacra2'] > 0 for _, lead in ahead)} ahead, {worst[1]['ssimulacra2']:+.1f} {worst[0][:14]}) {over['butteraugli']:+.3f} {over['ms_ssim']:+.4f}"
+                if vvc:
+                    over = [(row[name]["psnr"] - at(vvc[stem], row[name]["bytes"], "psnr"), stem) for stem, row, _ in rows]
+                    line += f" | VVC {mean([lead for lead, _ in over]):+.3f} dB ({min(over)[0]:+.2f} {min(over)[1]})"
                 print(line, flush=True)
             if args.each:
                 for stem, row, best in rows:
