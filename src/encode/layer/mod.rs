@@ -90,6 +90,11 @@ fn preset(tune: Tune) -> Preset {
 /// 0.06 bits. With 0.03 bits (a ratio of 200), all but one lose up to 5 points, because the layer has few levels there
 /// and larger blocks are cheaper.
 const DRAWING_BITS: f64 = 0.09;
+/// Number of pixels above which these bits grow, and the exponent. On parts of 2048 × 2048 pixels of a map and of a page,
+/// the parameters for drawings lose 3.3 and 2.4 points with 0.1 bits (a ratio of 200); with 0.2 bits (100), they lose 1.2
+/// and gain 0.5.
+const DRAWING_PIXELS: f64 = 262_144.0;
+const DRAWING_POWER_OF_PIXELS: f64 = 0.2;
 /// Value of [`Setting::mixed_cost`] for drawings. It contributes 3.7 and 2.2 points to that gain at a ratio of 100.
 /// With 1.6 and 2, the diagrams lose 0.1 to 0.3 points.
 const DRAWING_MIXED_COST: f32 = 1.3;
@@ -235,7 +240,8 @@ impl WholeSession<'_> {
             Some(near) => near.layer.head.sizes == for_drawing(settings, Tune::Psnr).coding.head.sizes,
             None => {
                 let bits = 8.0 * bytes as f64 / self.pixels() as f64;
-                bits >= DRAWING_BITS && self.measured_texture().is_some_and(|texture| texture.is_drawing())
+                bits >= least_drawing_bits(self.pixels())
+                    && self.measured_texture().is_some_and(|texture| texture.is_drawing())
             }
         };
         if is_drawing {
@@ -293,6 +299,12 @@ fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSet
     }
 }
 
+/// Returns the minimum bits of the layer per pixel for which a drawing of `pixels` pixels is coded with the parameters for
+/// drawings.
+fn least_drawing_bits(pixels: u64) -> f64 {
+    DRAWING_BITS * (pixels as f64 / DRAWING_PIXELS).max(1.0).strict_powf(DRAWING_POWER_OF_PIXELS)
+}
+
 /// Returns the parameters for a layer over a drawing, given those for a photograph.
 fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     // Coloured lines need small chroma blocks.
@@ -320,4 +332,16 @@ fn left_for_layer(
     empty.detail = Some(Arc::new(DetailLayer { head: settings.coding.head, tiles: vec![None; count] }));
     let fixed = file(&empty)?.len() as u64 - count as u64;
     Ok(max_bytes.checked_sub(fixed).filter(|&left| left > 2 * count as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_drawings_need_more_bits_for_the_parameters_of_drawings() {
+        assert_eq!([1, 300 * 300, 512 * 512].map(least_drawing_bits), [DRAWING_BITS; 3]);
+        let large = least_drawing_bits(2048 * 2048);
+        assert!(large > 0.13 && large < 0.19, "{large}");
+    }
 }
