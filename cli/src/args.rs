@@ -133,7 +133,8 @@ pub struct Encode {
     /// Encoding effort, 1 to 9
     #[arg(long, short, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
-    /// Time limit for the whole command; uses a lower effort if the time is too short, and writes the best result so far
+    /// Time limit for the whole command; uses a lower effort if the time is too short, and writes the best result so
+    /// far
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     pub time: Option<Duration>,
     /// Seed of the random number generator

@@ -119,6 +119,11 @@ impl Choice {
         }
     }
 
+    /// Returns the CPU.
+    pub(super) fn cpu() -> Self {
+        Choice::of((None, Chosen::default()), Backend::Cpu)
+    }
+
     fn of((gpu, chosen): (Option<Device>, Chosen), asked: Backend) -> Self {
         Choice { chosen, asked, gpu, fallback: OnceLock::new() }
     }

@@ -91,11 +91,13 @@ impl Encoder {
     }
 
     /// Sets the time limit of a whole encode, wall clock, however many fits the target takes. If it is too short for
-    /// [`effort`](Self::effort), the encoder uses a lower effort, which [`EncodeReport::effort`](super::EncodeReport::effort) reports, and writes the
-    /// best state reached. A large picture takes longer than a very short limit, because its layer is always coded to the
-    /// end. By default there is no limit.
+    /// [`effort`](Self::effort), the encoder uses a lower effort, which
+    /// [`EncodeReport::effort`](super::EncodeReport::effort) reports, and writes the best state reached. A large
+    /// picture takes longer than a very short limit, because its layer is always coded to the end. By default there is
+    /// no limit.
     ///
-    /// In tiles, every stage visits each tile at least once, so an encode in small tiles can take several times as long.
+    /// In tiles, every stage visits each tile at least once, so an encode in small tiles can take several times as
+    /// long.
     #[must_use]
     pub fn time(mut self, time: Duration) -> Self {
         self.options.time = Some(time);
@@ -147,8 +149,8 @@ impl Encoder {
     }
 
     /// Sets the side of the tiles in which a picture is fitted, in pixels: a multiple of 128 up to 16384. Tiles bound
-    /// the memory of an encode. By default, pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless a GPU is
-    /// used, pictures of more than 2²⁸ pixels always, and all others as a whole. With tiles, a [`Target::Quality`]
+    /// the memory of an encode. By default, pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless a GPU
+    /// is used, pictures of more than 2²⁸ pixels always, and all others as a whole. With tiles, a [`Target::Quality`]
     /// applies to the mean of the tiles' scores.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
@@ -219,9 +221,9 @@ impl Encoder {
     }
 
     /// Encodes a picture in tiles with `workers`, which may run outside this process. The workers fit, join and sweep
-    /// the tiles on the CPU. The initial survey of the picture and the writing of the file run in this process. The file
-    /// has the same bytes as without workers on the CPU. A picture that is not divided into tiles is encoded in this
-    /// process.
+    /// the tiles on the CPU. The initial survey of the picture and the writing of the file run in this process. The
+    /// file has the same bytes as without workers on the CPU. A picture that is not divided into tiles is encoded in
+    /// this process.
     ///
     /// # Errors
     /// As [`encode_with_progress`](Encoder::encode_with_progress), the errors of `workers`, and

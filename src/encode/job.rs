@@ -48,8 +48,8 @@ impl WholeSession<'_> {
         }
     }
 
-    /// Fits about `count` primitives and rounds them to a file of `size`, which is that of `request` or smaller, to leave
-    /// room for channels that are left out. Both exclude these channels.
+    /// Fits about `count` primitives and rounds them to a file of `size`, which is that of `request` or smaller, to
+    /// leave room for channels that are left out. Both exclude these channels.
     pub(super) fn fitted(&mut self, count: usize, size: Size, request: &FitRequest) -> Result<Outcome> {
         let &FitRequest { time, under_layer, ref initial, .. } = request;
         self.weigh(count);

@@ -75,8 +75,8 @@ pub struct Encoded {
 pub struct EncodeReport {
     /// Number of primitives in the file.
     pub primitives: usize,
-    /// Effort of the encode, 1 to 9: the requested one, or a lower one if the time limit is too short for it. It is 0 if
-    /// the Gaussians were given.
+    /// Effort of the encode, 1 to 9: the requested one, or a lower one if the time limit is too short for it. It is 0
+    /// if the Gaussians were given.
     pub effort: u8,
     /// PSNR of the stored picture against the source in dB, before rounding to code values. It is infinite if they are
     /// equal.
@@ -137,7 +137,8 @@ fn encode_by(
         });
     }
     let effort = timed_effort::affordable(source.size(), source.channels(), options);
-    let options = &EncodeOptions { effort, ..options.clone() };
+    let lower = (effort < options.effort).then(|| EncodeOptions { effort, ..options.clone() });
+    let options = lower.as_ref().unwrap_or(options);
     match (side(source, options), source.as_pixels()) {
         (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))

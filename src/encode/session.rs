@@ -30,8 +30,8 @@ pub(super) struct Outcome {
 }
 
 impl Outcome {
-    /// Returns whether single primitives can be removed from the file. Their value is not known for files with levels or a
-    /// detail layer.
+    /// Returns whether single primitives can be removed from the file. Their value is not known for files with levels
+    /// or a detail layer.
     #[cfg(feature = "quality-hook")]
     pub(super) fn can_be_trimmed(&self) -> bool {
         self.splats.levels.is_empty() && self.splats.detail.is_none()
@@ -146,8 +146,8 @@ pub(super) trait EncodeSession<'a> {
         Ok(())
     }
 
-    /// Adds the stored picture, whose squared error over the samples of all channels is `error`, as the last point of the
-    /// trace.
+    /// Adds the stored picture, whose squared error over the samples of all channels is `error`, as the last point of
+    /// the trace.
     fn trace_end(&mut self, _splats: &PackedSplats, _error: f64) -> Result<()> {
         Ok(())
     }

@@ -70,8 +70,8 @@ pub(super) fn words(target: &Planes, depth: Depth) -> u32 {
     depth.bytes() as u32 + u32::from(!target.amplitude.is_empty())
 }
 
-/// Packs rows `first..end` of `target`, rounded to code values of `depth`. A pixel has four channels, in one word with 8
-/// bits per sample and two with 16, and another word with the amplitude of its error as a float, if there is one.
+/// Packs rows `first..end` of `target`, rounded to code values of `depth`. A pixel has four channels, in one word with
+/// 8 bits per sample and two with 16, and another word with the amplitude of its error as a float, if there is one.
 pub(super) fn pack(target: &Planes, depth: Depth, first: u32, end: u32) -> Vec<u32> {
     let (count, width, each) = (target.channels.count(), target.width as usize, words(target, depth) as usize);
     let white = f32::from(depth.max());

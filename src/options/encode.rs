@@ -197,8 +197,8 @@ pub struct EncodeOptions {
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,
-    /// Time limit of the whole encode, wall clock, however many fits the target takes. If it is too short for the effort,
-    /// a lower effort is used. The best state reached is written.
+    /// Time limit of the whole encode, wall clock, however many fits the target takes. If it is too short for the
+    /// effort, a lower effort is used. The best state reached is written.
     pub time: Option<Duration>,
     /// Seed of all random numbers. Equal seeds give equal bytes with one version of this crate, and in the planes
     /// layout with one version of zstd.

@@ -95,8 +95,8 @@ impl<'a> Patch<'a> {
         let mut base_error = simd.splat(0.0);
         for i in self.range(q.rows) {
             let y = self.rows.start + i * self.step;
-            // A strip of `q` that reaches into the row starts or ends up to a vector beyond the support. One column more
-            // allows for rounding.
+            // A strip of `q` that reaches into the row starts or ends up to a vector beyond the support. One column
+            // more allows for rounding.
             let Some([from, to]) = q.row_ends(y as u32) else { continue };
             let vector = |x: f32| ((x - self.columns.start as f32).max(0.0) / LANES as f32) as u32;
             let from = vector(from - LANES as f32).min(vectors);

@@ -1,5 +1,5 @@
-//! Encodes a file whose bytes are divided between the Gaussians and the detail layer, as `division` decides. The encoder
-//! can only recognize sharp pictures, which need more Gaussians, after it has fitted the smaller base.
+//! Encodes a file whose bytes are divided between the Gaussians and the detail layer, as `division` decides. The
+//! encoder can only recognize sharp pictures, which need more Gaussians, after it has fitted the smaller base.
 
 use std::time::Duration;
 
@@ -105,8 +105,8 @@ impl WholeSession<'_> {
         match self.input.options.effort {
             1 => 0,
             2 if tune != Tune::Psnr => 0,
-            // At 2.8 megapixels a round gains 0.05 and 0.14 SSIMULACRA2 points at ratios of 50 and 100, and takes 14 % and
-            // 18 % of the time.
+            // At 2.8 megapixels a round gains 0.05 and 0.14 SSIMULACRA2 points at ratios of 50 and 100, and takes 14 %
+            // and 18 % of the time.
             2..=5 if tune != Tune::Psnr && self.pixels() >= LARGE_PIXELS => 0,
             2 | 3 => 1,
             4..=6 => match tune {
@@ -125,12 +125,10 @@ impl WholeSession<'_> {
         u64::from(self.planes.width) * u64::from(self.planes.height)
     }
 
-    /// Fits Gaussians of `bytes` bytes, without header and metadata, as the base of a layer. The fit continues `initial`
-    /// if there are any.
+    /// Fits Gaussians of `bytes` bytes, without header and metadata, as the base of a layer. The fit continues
+    /// `initial` if there are any.
     fn base(&mut self, bytes: u64, division: &Division, initial: Vec<Primitive>) -> Result<Outcome> {
-        let time = division
-            .until
-            .map(|end| end.saturating_duration_since(Instant::now()).mul_f64(base_time(self.input.options.effort)));
+        let time = base_time(self.input.options.effort, division.until);
         let ratio = self.samples() / division.shared as f64;
         let under_layer = UnderLayer {
             // A search runs several fits, so it does not extend them for large files.
@@ -232,10 +230,11 @@ impl WholeSession<'_> {
     }
 }
 
-/// Returns the fraction of a time budget for the Gaussians. At effort 1, whose fit is short, the layer takes a larger
-/// part of the time.
-pub(in crate::encode) fn base_time(effort: u8) -> f64 {
-    if effort == 1 { 0.72 } else { 0.88 }
+/// Returns the time for the Gaussians under a layer, given when the encode should end. At effort 1, whose fit is short,
+/// the layer takes a larger part of the time.
+pub(in crate::encode) fn base_time(effort: u8, until: Option<Instant>) -> Option<Duration> {
+    let share = if effort == 1 { 0.72 } else { 0.88 };
+    until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(share))
 }
 
 /// Returns whether the encoder tries several sizes until the file reaches the requested quality.

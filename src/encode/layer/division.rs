@@ -38,25 +38,25 @@ const FINE_BASE_RATIOS: [f64; 2] = [25.0, 100.0];
 /// A page of text with photographs gains 4 SSIMULACRA2 points at a ratio of 50; simple diagrams would lose up to 1.
 const BUSY_DRAWING: [f64; 2] = [2.9, 3.9];
 const MAX_DRAWING_BASE: f64 = 1.4;
-/// Shares of flat squares at which the fit of a picture under a layer starts to be longer and at which it is longest, and
-/// the largest factor on its iterations. With twice the iterations, seven diagrams and pages gain 0.5 and 0.8 points at
-/// ratios of 50 and 100, and take 1.4 to 1.6 times as long.
+/// Shares of flat squares at which the fit of a picture under a layer starts to be longer and at which it is longest,
+/// and the largest factor on its iterations. With twice the iterations, seven diagrams and pages gain 0.5 and 0.8
+/// points at ratios of 50 and 100, and take 1.4 to 1.6 times as long.
 const PATIENT_FLAT: [f64; 2] = [0.1, 0.3];
 const MAX_PATIENCE: f32 = 2.0;
 /// Ratio above which files have no layer, unless the tuning is perceptual and the texture is known.
 const MAX_RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
 /// Fineness at which a layer is worth as much as the same bytes of Gaussians, for pictures of [`FINE_PIXELS`] at
-/// [`FINE_RATIO`]. The ratio grows with the square of the fineness and with a power of the number of pixels. At effort 3
-/// and a ratio of 100, a layer gains 0.1 to 7.9 SSIMULACRA2 points on all of 14 pictures. At effort 1, Gaussians alone
-/// would gain 0.3 and 0.9 points on Kodak and CID22 at a ratio of 100 and 2.5 and 0.7 at 200, but take 1.4 to 5 times as
-/// long, more than effort 2.
+/// [`FINE_RATIO`]. The ratio grows with the square of the fineness and with a power of the number of pixels. At effort
+/// 3 and a ratio of 100, a layer gains 0.1 to 7.9 SSIMULACRA2 points on all of 14 pictures. At effort 1, Gaussians
+/// alone would gain 0.3 and 0.9 points on Kodak and CID22 at a ratio of 100 and 2.5 and 0.7 at 200, but take 1.4 to 5
+/// times as long, more than effort 2.
 const FINE: f64 = 0.42;
 const FINE_RATIO: f64 = 100.0;
 const FINE_PIXELS: f64 = 262_144.0;
 const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
-/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer. At a ratio of 200, three diagrams gain 4 to 6 points
-/// with a layer.
+/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer. At a ratio of 200, three diagrams gain 4 to 6
+/// points with a layer.
 const DRAWING_RATIO: f64 = 250.0;
 /// Ratio up to which texture does not rule out a layer.
 const ALWAYS_RATIO: f64 = 80.0;

@@ -68,9 +68,9 @@ fn preset(tune: Tune) -> Preset {
         },
         // Compared with slopes of 40 at every step, at a ratio of 100 and effort 1, these gain 4.3 SSIMULACRA2 points
         // on three Kodak pictures and 0.5 on two of CLIC. They lose 0.39 and 0.11 dB. Letting the power grow as well,
-        // to 0.22, gains another 0.1 and 0.3 points but loses 0.05 of Butteraugli. The first knot is for small steps. On
-        // 18 pictures of Kodak and CID22 at a ratio of 10, it gains 0.1 points and 0.03 of Butteraugli; drawings would
-        // lose 0.7 points by its chroma.
+        // to 0.22, gains another 0.1 and 0.3 points but loses 0.05 of Butteraugli. The first knot is for small steps.
+        // On 18 pictures of Kodak and CID22 at a ratio of 10, it gains 0.1 points and 0.03 of Butteraugli; drawings
+        // would lose 0.7 points by its chroma.
         Tune::Iq => Preset {
             head: DetailHead::SEEN,
             lambda: 0.1,
@@ -90,11 +90,11 @@ fn preset(tune: Tune) -> Preset {
 /// 0.06 bits. With 0.03 bits (a ratio of 200), all but one lose up to 5 points, because the layer has few levels there
 /// and larger blocks are cheaper.
 const DRAWING_BITS: f64 = 0.09;
-/// Number of pixels above which these bits grow, and the exponent. On parts of 2048 × 2048 pixels of a map and of a page,
-/// the parameters for drawings lose 3.3 and 2.4 points with 0.1 bits (a ratio of 200); with 0.2 bits (100), they lose 1.2
-/// and gain 0.5.
-const DRAWING_PIXELS: f64 = 262_144.0;
-const DRAWING_POWER_OF_PIXELS: f64 = 0.2;
+/// Number of pixels above which these bits grow, and the exponent. On parts of 2048 × 2048 pixels of a map and of a
+/// page, the parameters for drawings lose 3.3 and 2.4 points with 0.1 bits (a ratio of 200); with 0.2 bits (100), they
+/// lose 1.2 and gain 0.5.
+const DRAWING_BITS_PIXELS: f64 = 262_144.0;
+const DRAWING_BITS_POWER: f64 = 0.2;
 /// Value of [`Setting::mixed_cost`] for drawings. It contributes 3.7 and 2.2 points to that gain at a ratio of 100.
 /// With 1.6 and 2, the diagrams lose 0.1 to 0.3 points.
 const DRAWING_MIXED_COST: f32 = 1.3;
@@ -299,10 +299,10 @@ fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSet
     }
 }
 
-/// Returns the minimum bits of the layer per pixel for which a drawing of `pixels` pixels is coded with the parameters for
-/// drawings.
+/// Returns the minimum bits of the layer per pixel for which a drawing of `pixels` pixels is coded with the parameters
+/// for drawings.
 fn least_drawing_bits(pixels: u64) -> f64 {
-    DRAWING_BITS * (pixels as f64 / DRAWING_PIXELS).max(1.0).strict_powf(DRAWING_POWER_OF_PIXELS)
+    DRAWING_BITS * (pixels as f64 / DRAWING_BITS_PIXELS).max(1.0).strict_powf(DRAWING_BITS_POWER)
 }
 
 /// Returns the parameters for a layer over a drawing, given those for a photograph.

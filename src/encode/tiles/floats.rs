@@ -1,9 +1,5 @@
 //! The float fit of a tile: first alone, then together with the primitives around it.
 
-use std::ops::Range;
-
-use rand_pcg::Pcg64Mcg;
-
 use super::global::GlobalContext;
 use super::grid::{Shift, Window};
 use super::mosaic::{Placed, TileResult, WindowPrimitives};
@@ -22,7 +18,6 @@ use crate::fit::model::placing::peaks::{at_peak, peaks};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::fit::multi_start::{self, Start};
-use crate::fit::schedule;
 use crate::fit::state::State;
 use crate::round::rounded::Rounded;
 
@@ -55,23 +50,9 @@ pub(super) fn begin(
     });
     let mut watcher =
         TileFitWatcher { on_progress, from: 0.0, to: ALONE, price: price.filter(|_| global.settings.is_priced) };
-    let state = steps(global, &job, state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
+    let range = from..share(ALONE, plan.iterations);
+    let state = global.device.steps(&job, global.source.depth(), state, (rng, range), &mut watcher)?;
     Ok(appraise(&problem, &state.primitives, window))
-}
-
-/// Takes steps from `state` on, on the device that fits.
-fn steps(
-    global: &GlobalContext<'_>,
-    job: &Job<'_>,
-    mut state: State,
-    schedule: (Pcg64Mcg, Range<u32>),
-    watcher: &mut dyn Watcher,
-) -> Result<State> {
-    if let Some(device) = global.device {
-        return device.steps(job, global.source.depth(), state, schedule, watcher);
-    }
-    schedule::run(job, &mut state, schedule, watcher)?;
-    Ok(state)
 }
 
 fn share(of: f32, iterations: u32) -> u32 {
@@ -117,7 +98,7 @@ pub(super) fn join(
     let mut watcher = TileFitWatcher { on_progress, from, to, price: None };
     let rng = multi_start::random(&plan);
     let range = share(from, plan.iterations)..share(to, plan.iterations);
-    let mut state = steps(global, &job, state, (rng, range), &mut watcher)?;
+    let mut state = global.device.steps(&job, global.source.depth(), state, (rng, range), &mut watcher)?;
     state.keep_best()?;
     let all = [&state.primitives[..], &state.frozen].concat();
     let error = error_within(&problem, &project::all(&all, problem.scene.height), window.own(), Output::Picture);

@@ -47,8 +47,8 @@ pub(super) struct GlobalContext<'a> {
     pub weights: Weights,
     /// Sum of the detail of all tiles.
     pub detail: f64,
-    /// The device that fits; `None` means the CPU.
-    pub device: Option<&'a Choice>,
+    /// The device that fits.
+    pub device: &'a Choice,
 }
 
 /// Weights of errors, with the statistics of the whole picture that they depend on.
@@ -83,10 +83,10 @@ pub(super) struct Survey {
 
 impl Survey {
     /// Reads `tiles`, which together cover the picture of `source`, once. Returns the properties of the whole picture.
-    /// Calls `on_progress` with the fraction that is done.
+    /// Calls `on_progress` with the fraction that is done. The tiles will be fitted on `device`.
     pub(super) fn of<'a>(
         self,
-        source: &'a dyn PixelSource,
+        (source, device): (&'a dyn PixelSource, &'a Choice),
         tiles: &[Window],
         mut on_progress: impl FnMut(f32) -> Result<()>,
     ) -> Result<GlobalContext<'a>> {
@@ -115,7 +115,7 @@ impl Survey {
             }
         }
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
-        Ok(GlobalContext { source, scene, settings, blank, weights, detail, device: None })
+        Ok(GlobalContext { source, scene, settings, blank, weights, detail, device })
     }
 }
 

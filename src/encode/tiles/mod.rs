@@ -94,8 +94,8 @@ pub(super) fn encode(
     mut report: ReportBuilder<'_>,
 ) -> Result<Encoded> {
     check(options)?;
-    let device = &Choice::for_tiles(options, source.size(), &executor)?;
     let clock = Clock::new(options.time);
+    let device = &Choice::for_tiles(options, source.size(), &executor)?;
     let start = report.seconds();
     let inpainted = InpaintedSource::new(source, options.hidden, || report.stage_progress("survey", 0.0))?;
     if inpainted.is_some() {
@@ -208,8 +208,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
             Some(base) => base,
             None => {
                 let count = count_for(self.options, fixed + budget, fixed, self.samples())?;
-                let time = until
-                    .map(|end| end.saturating_duration_since(Instant::now()).mul_f64(base_time(self.options.effort)));
+                let time = base_time(self.options.effort, until);
                 let base = self.gaussians(count, [Size::Bytes(fixed + budget), size], time)?;
                 if is_search(self.options.target) {
                     self.kept = Some(KeptBase { base: base.clone(), base_budget: budget as f64 });
@@ -304,8 +303,8 @@ impl TiledSession<'_, '_, '_> {
         let survey = Survey { scene, blank, settings, tune: options.favoured() };
         let fitted_grid = grid_of(&scene, count, self.side);
         let report = &mut self.report;
-        let mut global = survey.of(&small, &fitted_grid.windows(), |done| report.stage_progress("survey", done))?;
-        global.device = Some(self.device);
+        let on_progress = |done| report.stage_progress("survey", done);
+        let global = survey.of((&small, self.device), &fitted_grid.windows(), on_progress)?;
         report.stage("survey", clock);
         let until = time.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
         let mut fit = TiledFit { session: self, grid: fitted_grid, global, metadata, size, limit, fixed, until };

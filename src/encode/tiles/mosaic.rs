@@ -157,8 +157,8 @@ impl<'a, T: Copy> Mosaic<'a, T> {
     }
 
     /// Changes the number of primitives to about `wanted`: removes the cheapest ones, or adds the best of `candidates`,
-    /// which it takes out of them. Then replaces at most `swaps` of the cheapest primitives by candidates that gain more
-    /// than the primitives cost.
+    /// which it takes out of them. Then replaces at most `swaps` of the cheapest primitives by candidates that gain
+    /// more than the primitives cost.
     pub(super) fn balance(&mut self, candidates: &mut Vec<Placed<T>>, wanted: usize, swaps: usize) {
         let have = self.count();
         candidates.sort_by(|a, b| b.cost.total_cmp(&a.cost));

@@ -17,6 +17,7 @@ use crate::bitstream::bytes::Bytes;
 use crate::bitstream::checksum::hash;
 use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::encode::device::Choice;
 use crate::encode::rate_control::MAX_PRIMITIVES;
 use crate::encode::report::Progress;
 use crate::error::{Error, FormatError, Result};
@@ -88,7 +89,8 @@ fn run_work<T: WireFormat>(
     on_progress: OnProgress<'_>,
 ) -> Result<Vec<u8>> {
     let pixels = read_pixels(&mut bytes, &blank, T::pixels(window, work))?;
-    let global = read_context(&mut bytes, blank, &pixels)?;
+    let device = Choice::cpu();
+    let global = read_context(&mut bytes, blank, (&pixels, &device))?;
     let bounds = PrimitiveBounds::new(&global, window);
     let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
     let mut own = Vec::new();
@@ -342,7 +344,11 @@ fn read_blank(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
     Ok(blank)
 }
 
-fn read_context<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, pixels: &'a TaskPixels) -> Result<GlobalContext<'a>> {
+fn read_context<'a>(
+    bytes: &mut Bytes<'_>,
+    blank: PackedSplats,
+    (pixels, device): (&'a TaskPixels, &'a Choice),
+) -> Result<GlobalContext<'a>> {
     let mut background = [0.0; 4];
     for v in &mut background {
         *v = read_f32(bytes, "background")?;
@@ -381,7 +387,7 @@ fn read_context<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, pixels: &'a Task
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
     let hidden = if keeps_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
     let settings = TileSettings { effort, count, is_priced, is_base, sufficient_error, seed, hidden, seconds };
-    Ok(GlobalContext { source: pixels, scene, settings, blank, weights, detail, device: None })
+    Ok(GlobalContext { source: pixels, scene, settings, blank, weights, detail, device })
 }
 
 fn read_window(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
