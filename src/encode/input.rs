@@ -16,6 +16,8 @@ pub(super) struct EncodeInput<'a> {
     /// The picture that is fitted: the caller's picture, possibly without constant channels.
     pub pixels: &'a Pixels,
     pub options: &'a EncodeOptions,
+    /// Factor on the iterations of the fits.
+    pub iterations: f32,
 }
 
 impl EncodeInput<'_> {

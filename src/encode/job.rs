@@ -64,6 +64,7 @@ impl WholeSession<'_> {
         } else {
             plan = plan.alone(options.effort, options.favoured());
         }
+        plan.iterations = (plan.iterations as f32 * input.iterations) as u32;
         plan.initial.clone_from(initial);
         plan.rung = options.rung;
         if options.needs == Needs::Measured {

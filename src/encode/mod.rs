@@ -155,7 +155,8 @@ fn encode_whole(
     options: &EncodeOptions,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    let work = |ask: &mut dyn FnMut(Progress) -> ControlFlow<()>| whole::encode(pixels, options, &mut |now| ask(*now));
+    let work =
+        |ask: &mut dyn FnMut(Progress) -> ControlFlow<()>| whole::encode(pixels, options, 1.0, &mut |now| ask(*now));
     parallel::on_pool(work, &mut |now| progress(&now))
 }
 

@@ -46,10 +46,11 @@ pub(super) struct WholeSession<'a> {
     pub report: ReportBuilder<'a>,
 }
 
-/// Encodes `pixels` as a whole.
+/// Encodes `pixels` as a whole. `iterations` is a factor on the iterations of the fits.
 pub(super) fn encode(
     pixels: &Pixels,
     options: &EncodeOptions,
+    iterations: f32,
     progress: &mut dyn FnMut(&Progress) -> std::ops::ControlFlow<()>,
 ) -> Result<Encoded> {
     let clock = Clock::new(options.time);
@@ -65,7 +66,7 @@ pub(super) fn encode(
     if let Some(narrow) = &narrow {
         report.note(narrow.removed.clone(), 0, 0.0);
     }
-    let input = EncodeInput { original, pixels: fitted, options };
+    let input = EncodeInput { original, pixels: fitted, options, iterations };
     run(WholeSession {
         input,
         blank: input.empty(),

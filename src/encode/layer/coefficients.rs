@@ -1,6 +1,7 @@
 //! Computes the forward transform of a tile's residual, in blocks of one size or in the chosen blocks.
 
 use super::residual::TileResidual;
+use crate::bitstream::detail::DetailHead;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
 use crate::bitstream::detail::model::PLANES;
 use crate::bitstream::detail::scan::SIZES;
@@ -72,11 +73,11 @@ pub(super) fn plane(tile: &TileResidual, plane: usize, division: Division<'_>) -
 pub(super) struct AllSizes([Coefficients; SIZES]);
 
 impl AllSizes {
-    /// Transforms `tile` in blocks of all sizes. `sizes` returns the smallest and the largest block size of a plane.
-    pub(super) fn new(tile: &TileResidual, sizes: impl Fn(usize) -> [usize; 2]) -> Self {
+    /// Transforms `tile` in blocks of all sizes that `head` allows.
+    pub(super) fn new(tile: &TileResidual, head: DetailHead) -> Self {
         AllSizes(std::array::from_fn(|size| {
             std::array::from_fn(|k| {
-                let [least, most] = sizes(k);
+                let [least, most] = head.sizes([0, 1, 1, 2][k]);
                 if (least..=most).contains(&size) { plane(tile, k, Division::Even(size as u8)) } else { Vec::new() }
             })
         }))

@@ -79,7 +79,7 @@ impl WholeSession<'_> {
             }
             Detail::Auto if division::may_have_layer(options) => {
                 let texture = self.texture();
-                let largest = division::largest_ratio(self.pixels(), texture);
+                let largest = division::largest_ratio(options.effort, self.pixels(), texture);
                 match division::is_worth_a_layer(self.samples(), shared, largest) {
                     true => self.divided(&division(texture), &alone),
                     false => self.gaussians_of_size(&alone),

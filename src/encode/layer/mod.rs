@@ -43,6 +43,8 @@ use slopes::{Knot, Slopes};
 
 /// Maximum number of coder runs in a search.
 const RUNS: u32 = 7;
+/// Minimum effort at which the blocks of a whole picture are chosen by the prices of the entropy coder with any tuning.
+const MIN_PRICED_EFFORT: u8 = 4;
 
 /// Returns the coding parameters that favour a quality measure.
 fn preset(tune: Tune) -> Preset {
@@ -222,12 +224,17 @@ impl WholeSession<'_> {
         // Choosing the blocks at the final step gains 0.02 dB on small pictures. On large ones it gains 0.006 dB and
         // takes the most time.
         let keeps_blocks = self.pixels() >= LARGE_PIXELS;
-        SearchSettings {
+        let effort = self.input.options.effort;
+        let mut settings = SearchSettings {
             max_bytes,
             keeps_blocks,
-            closeness: if self.input.options.effort == 1 { Closeness::HASTY } else { Closeness::USUAL },
+            closeness: if effort == 1 { Closeness::HASTY } else { Closeness::USUAL },
             ..search_settings(self.input.options.favoured(), self.input.channels(), has_alpha)
+        };
+        if effort >= MIN_PRICED_EFFORT {
+            settings.coding.blocks = BlockChoice::Priced;
         }
+        settings
     }
 
     /// Codes the residual of the Gaussians of `splats`, for a file of at most `max_bytes` bytes.
@@ -311,6 +318,8 @@ fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     settings.coding.head.sizes[1][0] = settings.coding.head.sizes[0][0];
     settings.coding.mixed_cost = DRAWING_MIXED_COST;
     if tune == Tune::Iq {
+        // Prices do not include the cost of blocks with flat ground.
+        settings.coding.blocks = BlockChoice::Rough;
         settings.power = DRAWING_POWER;
         settings.slopes = DRAWING_SLOPES;
         settings.slopes.apply(&mut settings.coding.head);
