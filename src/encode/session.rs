@@ -80,7 +80,7 @@ pub(super) struct FitRequest {
 pub(super) struct UnderLayer {
     /// Ratio of the file with both layers, if fits of large files should be longer.
     pub ratio: Option<f64>,
-    /// Factor on the iterations up to effort 5, at least 1.
+    /// Factor on the iterations with perceptual tuning.
     pub patience: f32,
 }
 

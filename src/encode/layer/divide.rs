@@ -130,11 +130,10 @@ impl WholeSession<'_> {
     fn base(&mut self, bytes: u64, division: &Division, initial: Vec<Primitive>) -> Result<Outcome> {
         let time = base_time(self.input.options.effort, division.until);
         let ratio = self.samples() / division.shared as f64;
-        let under_layer = UnderLayer {
-            // A search runs several fits, so it does not extend them for large files.
-            ratio: (!is_search(self.input.options.target)).then_some(ratio),
-            patience: division.texture.map_or(1.0, division::patience),
-        };
+        // A search runs several fits, so it does not extend them for large files.
+        let ratio = (!is_search(self.input.options.target)).then_some(ratio);
+        let patience = division::patience(self.input.options.effort, self.pixels(), division.texture, ratio);
+        let under_layer = UnderLayer { ratio, patience };
         let size = Size::Bytes(division.fixed + bytes);
         self.gaussians_of_size(&FitRequest { size, time, under_layer: Some(under_layer), initial })
     }
