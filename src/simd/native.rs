@@ -126,17 +126,16 @@ impl Simd for Native {
         let g = self.shl_i32x8(self.cvt_i32_f32x8(v[1]), 8);
         let b = self.shl_i32x8(self.cvt_i32_f32x8(v[2]), 16);
         let pixels: u8x32<Native> = self.or_i32x8(r, self.or_i32x8(g, b)).bitcast();
-        // Pick three bytes of each pixel in each half.
-        const DROP: [u8; 32] = [
-            0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 255, 255, 255, 255, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 255,
+        // Pick three bytes of each pixel: twelve at the end of the lower half, and twelve at the start of the upper one.
+        const PICK: [u8; 32] = [
+            255, 255, 255, 255, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 255,
             255, 255, 255,
         ];
-        let bytes = self.swizzle_dyn_within_blocks_u8x32(pixels, DROP.simd_into(self));
-        let (low, high) = self.split_u8x32(bytes);
-        let (low, high): ([u8; 16], [u8; 16]) = (low.into(), high.into());
-        // The next copy overwrites the bytes after the first twelve.
-        to[..16].copy_from_slice(&low);
-        to[12..].copy_from_slice(&high[..12]);
+        let (low, high) = self.split_u8x32(self.swizzle_dyn_within_blocks_u8x32(pixels, PICK.simd_into(self)));
+        let first: [u8; 16] = self.slide_u8x16::<4>(low, high).into();
+        let last: [u8; 16] = self.slide_u8x16::<12>(low, high).into();
+        to[..16].copy_from_slice(&first);
+        to[8..].copy_from_slice(&last);
     }
 }
 
