@@ -46,6 +46,22 @@ fn begins(at: usize, size: u8) -> bool {
     at.is_multiple_of(1 << size)
 }
 
+/// Returns which cells of a row are the first of their block, one bit per cell.
+#[inline(always)]
+fn beginnings(sizes: &[u8]) -> u64 {
+    /// Largest sizes of the blocks that can begin at each of eight cells.
+    const LARGEST: u64 = u64::from_le_bytes([3, 0, 1, 0, 2, 0, 1, 0]);
+    const HIGH: u64 = 0x8080_8080_8080_8080;
+    let mut all = 0;
+    for (k, eight) in sizes.as_chunks::<8>().0.iter().enumerate() {
+        // The high bit of a byte remains where the size is at most the largest. Sizes are at most 3.
+        let some = ((LARGEST | HIGH) - u64::from_le_bytes(*eight)) & HIGH;
+        // Collects the bits in the highest byte.
+        all |= ((some >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * k);
+    }
+    all
+}
+
 /// The edges of blocks that have levels; only these edges are filtered. Each row of cells is a word with one bit per
 /// cell.
 #[derive(Debug)]
@@ -104,13 +120,15 @@ impl Edges {
     pub(crate) fn between_columns(&self, cy: usize, rows: &mut [i32], sizes: &[u8], across: usize) {
         let held = self.held[cy];
         let mut left = (held | held << 1) & (u64::MAX >> (CELLS - across)) & !1;
-        let (sizes, rows) = (&sizes[cy * CELLS..][..CELLS], &mut rows[..CELL * PITCH]);
+        if left == 0 {
+            return;
+        }
+        let rows = &mut rows[..CELL * PITCH];
+        left &= beginnings(&sizes[cy * CELLS..][..CELLS]);
         while left != 0 {
             let cx = left.trailing_zeros() as usize;
             left &= left - 1;
-            if begins(cx, sizes[cx]) {
-                filter_columns(rows, cx * CELL - REACH);
-            }
+            filter_columns(rows, cx * CELL - REACH);
         }
     }
 }
@@ -184,6 +202,15 @@ mod tests {
                 let v: f64 = (0..2).map(|k| c2(k, 1 - i) * c4(k, 1 - j)).sum();
                 assert_eq!((v * 4096.0).round() as i32, MIX[i][j], "{i} {j}");
             }
+        }
+    }
+
+    #[test]
+    fn beginnings_are_the_cells_at_which_blocks_begin() {
+        for seed in 0..64 {
+            let sizes: [u8; CELLS] = std::array::from_fn(|i| ((i * (2 * seed + 1)) >> 3) as u8 % 4);
+            let want = (0..CELLS).filter(|&i| begins(i, sizes[i])).fold(0, |all, i| all | 1 << i);
+            assert_eq!(beginnings(&sizes), want, "{sizes:?}");
         }
     }
 
