@@ -115,6 +115,7 @@ pub fn encode(pixels: &Pixels, options: &EncodeOptions) -> Result<Encoded> {
 ///
 /// # Errors
 /// As [`encode`], and [`Error::Cancelled`] if `progress` returns [`ControlFlow::Break`].
+#[cfg(any(test, feature = "image", feature = "unstable"))]
 pub fn encode_with_progress(
     pixels: &Pixels,
     options: &EncodeOptions,
