@@ -47,7 +47,6 @@ pub use encoder::Encoder;
 #[cfg(any(test, feature = "unstable"))]
 pub use file::divide;
 pub(crate) use file::smallest;
-#[cfg(any(test, feature = "unstable"))]
 pub use layer::texture::Texture;
 use rate_control::MAX_PRIMITIVES;
 use report::ReportBuilder;
@@ -137,10 +136,12 @@ fn encode_by(
             problem: "it applies to given Gaussians only".into(),
         });
     }
-    let effort = timed_effort::affordable(source.size(), source.channels(), options);
+    let side = side(source, options);
+    let texture = || if side.is_none() { source.as_pixels().and_then(Texture::of_pixels) } else { None };
+    let effort = timed_effort::affordable(source.size(), source.channels(), options, texture);
     let lower = (effort < options.effort).then(|| EncodeOptions { effort, ..options.clone() });
     let options = lower.as_ref().unwrap_or(options);
-    match (side(source, options), source.as_pixels()) {
+    match (side, source.as_pixels()) {
         (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
         }

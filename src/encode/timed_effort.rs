@@ -8,7 +8,8 @@
 use std::time::Duration;
 
 use super::layer::divide::is_search;
-use super::layer::division::base_without_texture;
+use super::layer::division::has_layer;
+use super::layer::texture::Texture;
 use super::rate_control::size_asked;
 use crate::gaussian::Channels;
 use crate::options::EncodeOptions;
@@ -36,13 +37,19 @@ const SERIAL: f64 = 0.3;
 const SEARCH: f64 = 3.0;
 
 /// Returns the highest effort, up to that of `options`, whose encode of a picture of this size is expected to take no
-/// longer than the time budget; effort 1 if none is. It is that of `options` for a file without a layer.
-pub(super) fn affordable([width, height]: [u32; 2], channels: Channels, options: &EncodeOptions) -> u8 {
+/// longer than the time budget; effort 1 if none is. It is that of `options` for a file without a layer. `texture`
+/// measures the texture of a picture that is fitted as a whole.
+pub(super) fn affordable(
+    [width, height]: [u32; 2],
+    channels: Channels,
+    options: &EncodeOptions,
+    texture: impl FnOnce() -> Option<Texture>,
+) -> u8 {
     let Some(time) = options.time else { return options.effort };
     let pixels = u64::from(width) * u64::from(height);
     let samples = pixels as f64 * channels.count() as f64;
     let has_layer = match size_asked(options, samples, 0) {
-        Size::Bytes(bytes) => base_without_texture(options, pixels, samples, bytes).is_some(),
+        Size::Bytes(bytes) => has_layer(options, pixels, samples, bytes, texture),
         // A search tries files of many sizes.
         Size::Free => is_search(options.target),
     };
@@ -63,6 +70,7 @@ pub(super) fn affordable([width, height]: [u32; 2], channels: Channels, options:
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::target::Target;
 
     #[test]
     fn the_effort_grows_with_the_time_up_to_the_requested_one() {
@@ -71,6 +79,7 @@ mod tests {
                 [side; 2],
                 Channels::Rgb,
                 &EncodeOptions { effort, time: time.map(Duration::from_secs_f64), ..EncodeOptions::default() },
+                || None,
             )
         };
         let mut last = 1;
@@ -87,5 +96,17 @@ mod tests {
         assert_eq!(effort(7, None, 4000), 7);
         // A picture of this size has no layer.
         assert_eq!(effort(7, Some(0.0), 100), 7);
+    }
+
+    #[test]
+    fn the_texture_decides_at_high_ratios() {
+        let effort = |ratio, fineness| {
+            let time = Some(Duration::from_millis(200));
+            let options = EncodeOptions { target: Target::Ratio(ratio), time, ..EncodeOptions::default() };
+            affordable([768, 512], Channels::Rgb, &options, || Some(Texture { fineness, activity: 4.0, flat: 0.0 }))
+        };
+        assert_eq!([50.0, 200.0].map(|ratio| effort(ratio, 0.9)), [1, 1]);
+        // With coarse texture, the file has no layer at a ratio of 200.
+        assert_eq!([50.0, 200.0].map(|ratio| effort(ratio, 0.3)), [1, 5]);
     }
 }

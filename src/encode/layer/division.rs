@@ -12,7 +12,7 @@
 use super::texture::Texture;
 use crate::bitstream::splats::Layout;
 use crate::fit::model::problem::LARGE_PIXELS;
-use crate::options::{Detail, EncodeOptions, Recipe};
+use crate::options::{Detail, EncodeOptions, Recipe, Tune};
 use crate::strict_math::StrictMath;
 
 /// Number of pixels of the pictures from which the values below were determined. They scale with powers of the number
@@ -183,6 +183,21 @@ fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
 /// consist of Gaussians alone.
 pub(super) fn may_have_layer(options: &EncodeOptions) -> bool {
     options.layout == Layout::Coded && options.recipe == Recipe::Ssplat
+}
+
+/// Returns whether a file of `shared` bytes, without header and metadata, has a layer. `texture` measures the texture of
+/// a picture that is fitted as a whole. It is called only if the decision depends on it.
+pub(in crate::encode) fn has_layer(
+    options: &EncodeOptions,
+    pixels: u64,
+    samples: f64,
+    shared: u64,
+    texture: impl FnOnce() -> Option<Texture>,
+) -> bool {
+    let may_depend = options.detail == Detail::Auto && may_have_layer(options) && options.favoured() == Tune::Iq;
+    let largest = |texture| largest_ratio(options.effort, pixels, Some(texture));
+    base_without_texture(options, pixels, samples, shared).is_some()
+        || may_depend && texture().is_some_and(|texture| is_worth_a_layer(samples, shared, largest(texture)))
 }
 
 /// Returns the byte budget of the Gaussians of a picture that is fitted in tiles, or `None` if the picture has no

@@ -32,7 +32,6 @@ pub struct Texture {
 impl Texture {
     /// Measures the texture of `pixels`. Returns `None` if there are no whole squares, or if they are constant at half
     /// the resolution.
-    #[cfg(any(test, feature = "unstable"))]
     pub fn of_pixels(pixels: &crate::pixels::Pixels) -> Option<Texture> {
         Texture::of(&Planes::new(pixels))
     }
