@@ -126,7 +126,7 @@ impl Simd for Native {
         let g = self.shl_i32x8(self.cvt_i32_f32x8(v[1]), 8);
         let b = self.shl_i32x8(self.cvt_i32_f32x8(v[2]), 16);
         let pixels: u8x32<Native> = self.or_i32x8(r, self.or_i32x8(g, b)).bitcast();
-        // Pick three bytes of each pixel: twelve at the end of the lower half, and twelve at the start of the upper one.
+        // Pick three bytes of each pixel: twelve at the end of the lower half, twelve at the start of the upper one.
         const PICK: [u8; 32] = [
             255, 255, 255, 255, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 255,
             255, 255, 255,

@@ -32,8 +32,8 @@ pub(super) struct Setting {
 pub(super) enum BlockChoice {
     /// Uses an estimate ([`blocks`](super::blocks::blocks)).
     Rough,
-    /// Uses the prices of the entropy coder ([`priced_blocks`]) and, for blocks with many levels, the estimate. It gains
-    /// 0.1 dB of PSNR, or 0.1 to 0.3 points of SSIMULACRA2, and takes fifteen times as long.
+    /// Uses the prices of the entropy coder ([`priced_blocks`]) and, for blocks with many levels, the estimate. This
+    /// gains 0.1 dB of PSNR, or up to 0.3 points of SSIMULACRA2, and takes fifteen times as long.
     Priced,
 }
 

@@ -46,9 +46,9 @@ const PATIENT_FLAT: [f64; 2] = [0.1, 0.3];
 const MAX_PATIENCE: f32 = 2.0;
 /// Factors on the iterations of the fits of other small pictures under a layer, at ratios of 10, 20, 50 and 100, at
 /// efforts 4 to 6. Between the ratios they depend on the logarithm of the ratio. At 20, 1.6 gains 0.15 points on Kodak
-/// and on CID22 and takes a quarter more time; 2 gains nothing more. At 5 and 10, they gain less than 0.06 points. At 100,
-/// 0.8 loses 0.2 and 0.0 points and saves a seventh of the time. At 2.8 megapixels, 1.6 at 20 would gain 0.05 points and
-/// 0.8 at 100 lose 0.1.
+/// and on CID22 and takes a quarter more time; 2 gains nothing more. At 10, 2 would gain
+/// 0.06 points on Kodak and take 1.4 times as long. At 100, 0.8 loses 0.2 and 0.0 points and saves a seventh of the
+/// time. At 2.8 megapixels, 1.6 at 20 would gain 0.05 points and 0.8 at 100 lose 0.1.
 const PATIENT_RATIOS: [f64; 4] = [10.0, 20.0, 50.0, 100.0];
 const PATIENCE_AT: [f64; 4] = [1.0, 1.6, 1.0, 0.8];
 /// Ratio above which files have no layer, unless the tuning is perceptual and the texture is known.
@@ -185,8 +185,8 @@ pub(super) fn may_have_layer(options: &EncodeOptions) -> bool {
     options.layout == Layout::Coded && options.recipe == Recipe::Ssplat
 }
 
-/// Returns whether a file of `shared` bytes, without header and metadata, has a layer. `texture` measures the texture of
-/// a picture that is fitted as a whole. It is called only if the decision depends on it.
+/// Returns whether a file of `shared` bytes, without header and metadata, has a layer. `texture` measures the texture
+/// of a picture that is fitted as a whole. It is called only if the decision depends on it.
 pub(in crate::encode) fn has_layer(
     options: &EncodeOptions,
     pixels: u64,
