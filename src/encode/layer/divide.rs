@@ -77,13 +77,8 @@ impl WholeSession<'_> {
                 self.report.stage("detail", clock);
                 Ok(outcome)
             }
-            Detail::Auto if division::may_have_layer(options) => {
-                let texture = self.texture();
-                let largest = division::largest_ratio(options.effort, self.pixels(), texture);
-                match division::is_worth_a_layer(self.samples(), shared, largest) {
-                    true => self.divided(&division(texture), &alone),
-                    false => self.gaussians_of_size(&alone),
-                }
+            _ if division::has_layer(options, self.pixels(), self.samples(), shared, || self.measured_texture()) => {
+                self.divided(&division(self.texture()), &alone)
             }
             _ => self.gaussians_of_size(&alone),
         }

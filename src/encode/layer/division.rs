@@ -118,7 +118,7 @@ pub(super) fn max_sharpness(effort: u8, ratio: f64) -> f64 {
 
 /// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is known only with
 /// perceptual tuning.
-pub(super) fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
+fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
     let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
     let larger = (pixels as f64 / FINE_PIXELS).strict_powf(FINE_RATIO_POWER);
@@ -129,7 +129,7 @@ pub(super) fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -
 
 /// Returns whether a picture of `samples` samples gains from a layer in a file of `bytes` bytes. `largest` is the
 /// largest ratio at which the picture gains from one.
-pub(super) fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
+fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
     bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
 }
 
@@ -181,12 +181,12 @@ fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
 
 /// Returns whether a file with these options may have a detail layer. Only the coded layout has one, and other methods
 /// consist of Gaussians alone.
-pub(super) fn may_have_layer(options: &EncodeOptions) -> bool {
+fn may_have_layer(options: &EncodeOptions) -> bool {
     options.layout == Layout::Coded && options.recipe == Recipe::Ssplat
 }
 
 /// Returns whether a file of `shared` bytes, without header and metadata, has a layer. `texture` measures the texture
-/// of a picture that is fitted as a whole. It is called only if the decision depends on it.
+/// of a picture that is fitted as a whole. It is called only if the tuning is perceptual.
 pub(in crate::encode) fn has_layer(
     options: &EncodeOptions,
     pixels: u64,
@@ -194,10 +194,15 @@ pub(in crate::encode) fn has_layer(
     shared: u64,
     texture: impl FnOnce() -> Option<Texture>,
 ) -> bool {
-    let may_depend = options.detail == Detail::Auto && may_have_layer(options) && options.favoured() == Tune::Iq;
-    let largest = |texture| largest_ratio(options.effort, pixels, Some(texture));
-    base_without_texture(options, pixels, samples, shared).is_some()
-        || may_depend && texture().is_some_and(|texture| is_worth_a_layer(samples, shared, largest(texture)))
+    match options.detail {
+        _ if !may_have_layer(options) => false,
+        Detail::Share(_) => true,
+        Detail::Auto => {
+            let texture = if options.favoured() == Tune::Iq { texture() } else { None };
+            is_worth_a_layer(samples, shared, largest_ratio(options.effort, pixels, texture))
+        }
+        Detail::Off => false,
+    }
 }
 
 /// Returns the byte budget of the Gaussians of a picture that is fitted in tiles, or `None` if the picture has no
@@ -209,14 +214,11 @@ pub(in crate::encode) fn base_without_texture(
     shared: u64,
 ) -> Option<u64> {
     let all = shared as f64;
-    match options.detail {
-        _ if !may_have_layer(options) => None,
-        Detail::Share(share) => Some((all * share) as u64),
-        Detail::Auto if is_worth_a_layer(samples, shared, largest_ratio(options.effort, pixels, None)) => {
-            Some(base_bytes(options.effort, pixels, None, (samples / all).max(20.0), all) as u64)
-        }
-        _ => None,
-    }
+    let bytes = match options.detail {
+        Detail::Share(share) => all * share,
+        _ => base_bytes(options.effort, pixels, None, (samples / all).max(20.0), all),
+    };
+    has_layer(options, pixels, samples, shared, || None).then_some(bytes as u64)
 }
 
 #[cfg(test)]
