@@ -47,6 +47,18 @@ fn deep(pixels: &Pixels) -> Pixels {
     Pixels::new(pixels.width(), pixels.height(), pixels.channels(), Samples::U16(wide)).unwrap()
 }
 
+/// Returns a page: a photograph, and lines of dark marks on white below it.
+fn page() -> Pixels {
+    let photograph = photograph(200, 100);
+    let Samples::U8(samples) = photograph.samples() else { panic!("8 bits") };
+    let hash = |v: u32| v.wrapping_mul(2_654_435_761) >> 24;
+    formula(200, 200, Channels::Rgb, |x, y, k| match y.checked_sub(100) {
+        None => samples[((y * 200 + x) * 3 + k) as usize].into(),
+        Some(y) if y % 14 < 9 && hash(x / 3 * 31 + y / 3 * 977) < 110 => 20,
+        Some(_) => 255,
+    })
+}
+
 /// Returns a drawing: lines, squares and a circle in four colours.
 fn drawing() -> Pixels {
     formula(224, 160, Channels::Rgb, |x, y, k| {
@@ -107,6 +119,7 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
         }),
         ("16 bits", deep(&photo()), |o| (o.target, o.effort) = (Target::Ratio(60.0), 2)),
         ("drawing", drawing(), |o| (o.target, o.effort) = (Target::Ratio(40.0), 3)),
+        ("page", page(), |o| (o.target, o.effort) = (Target::Ratio(30.0), 4)),
         (
             "noise",
             formula(90, 70, Channels::Rgb, |x, y, k| (x * 7919 + y * 104_729 + k * 31).wrapping_pow(3) >> 9),

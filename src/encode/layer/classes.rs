@@ -1,8 +1,10 @@
 //! Chooses the step classes of superblocks. Busy regions get coarser steps, because they mask errors.
 
 use super::residual::TileResidual;
+use super::search::SearchSettings;
 use crate::bitstream::detail::levels::{SUPER, SUPERS, TILE};
 use crate::detail::steps::CLASS_STEPS;
+use crate::parallel;
 use crate::strict_math::StrictMath;
 
 /// Side of the squares whose moments are computed, pixels.
@@ -11,6 +13,8 @@ const SQUARE: usize = 8;
 const FLOOR: f32 = 30.0;
 /// Weights of neighbouring squares along one axis.
 const KERNEL: [f32; 5] = [1.0, 3.0, 4.0, 3.0, 1.0];
+/// Steps up to which a layer is fine and from which on it is coarse, 1/64 code value.
+const COARSE: [f64; 2] = [250.0, 600.0];
 /// Class step that leaves the layer's step unchanged, in 1/64.
 const MIDDLE: f32 = 64.0;
 
@@ -62,13 +66,65 @@ fn blur(moments: &[[f32; 2]], [across, down]: [usize; 2], [dx, dy]: [i32; 2]) ->
         .collect()
 }
 
-/// Returns the class of each superblock, given its `activity` and the mean activity `mean` of the picture. The wanted
-/// steps grow with the variance to the power `power`.
-pub(super) fn classes(activity: &[f32], mean: f32, power: f32, count: u8) -> Vec<u8> {
-    let class = |&a: &f32| {
-        let wanted = (power * (a - mean)).strict_exp() * MIDDLE;
+/// How the steps of superblocks depend on their activity.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Masking {
+    /// Mean activity of the picture.
+    mean: f32,
+    /// Exponent of the variance with which the steps grow.
+    power: f32,
+    /// Number of classes.
+    count: u8,
+}
+
+impl Masking {
+    /// Measures `tiles`, for a layer with about this step.
+    pub(super) fn of(tiles: &[TileResidual], settings: &SearchSettings, step: f64) -> Masking {
+        let count = settings.coding.head.classes;
+        if count == 1 {
+            return Masking { mean: 0.0, power: 0.0, count };
+        }
+        let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
+        // Superblocks outside a tile have no activity.
+        let there = || activity.iter().flatten().filter(|a| **a > 0.0);
+        let mean = there().sum::<f32>() / there().count().max(1) as f32;
+        Masking { mean, power: power(settings.powers, step), count }
+    }
+
+    /// Returns the step classes of each tile's superblocks. They are empty if there is only one class.
+    pub(super) fn classes(self, tiles: &[TileResidual]) -> Vec<Vec<u8>> {
+        match self.count {
+            1 => vec![Vec::new(); tiles.len()],
+            _ => parallel::map(tiles.len(), |i| activity(&tiles[i]).iter().map(|&a| self.class(a)).collect()),
+        }
+    }
+
+    /// Returns the class of a superblock with this activity.
+    fn class(self, activity: f32) -> u8 {
+        let wanted = (self.power * (activity - self.mean)).strict_exp() * MIDDLE;
         let far = |k: u8| (CLASS_STEPS[usize::from(k)] as f32 / wanted).strict_ln().abs();
-        (0..count).min_by(|&a, &b| far(a).total_cmp(&far(b))).unwrap_or(0)
-    };
-    activity.iter().map(class).collect()
+        (0..self.count).min_by(|&a, &b| far(a).total_cmp(&far(b))).unwrap_or(0)
+    }
+}
+
+/// Returns the exponent for a layer with this step. It grows with the logarithm of the step.
+fn power([fine, coarse]: [f32; 2], step: f64) -> f32 {
+    let [from, to] = COARSE.map(f64::strict_ln);
+    let share = ((step.strict_ln() - from) / (to - from)).clamp(0.0, 1.0) as f32;
+    fine + share * (coarse - fine)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_follow_the_activity_more_closely_in_coarse_layers() {
+        let powers = [0.1, 0.2];
+        assert_eq!([1.0, COARSE[0], COARSE[1], 9000.0].map(|step| power(powers, step)), [0.1, 0.1, 0.2, 0.2]);
+        let middle = power(powers, (COARSE[0] * COARSE[1]).sqrt());
+        assert!((middle - 0.15).abs() < 1e-6, "{middle}");
+        let classes = |power: f32| [3.4, 5.0, 6.6].map(|a| Masking { mean: 5.0, power, count: 4 }.class(a));
+        assert_eq!([0.05, 0.5].map(classes), [[1, 1, 2], [0, 1, 3]]);
+    }
 }

@@ -55,13 +55,13 @@ fn preset(tune: Tune) -> Preset {
         Tune::Psnr => Preset {
             head: DetailHead { biases: [1, 3], ..DetailHead::PLAIN },
             lambda: 0.10,
-            power: 0.0,
+            powers: [0.0; 2],
             slopes: Slopes(&[Knot { step: 1, slopes: [0, 0], chroma: DetailHead::PLAIN.chroma }]),
         },
         Tune::Ssim => Preset {
             head: DetailHead { biases: [2, 4], ..DetailHead::SEEN },
             lambda: 0.09,
-            power: 0.08,
+            powers: [0.08; 2],
             // Compared with slopes of 16 at every step, at effort 3, these gain 0.0011 of MS-SSIM (1.9 SSIMULACRA2
             // points) on seven pictures at a ratio of 50 and 0.0037 on three Kodak pictures at 100. They lose 0.26 and
             // 0.33 dB. λ = 0.075 changes nothing.
@@ -71,15 +71,16 @@ fn preset(tune: Tune) -> Preset {
             ]),
         },
         // Compared with slopes of 40 at every step, at a ratio of 100 and effort 1, these gain 4.3 SSIMULACRA2 points
-        // on three Kodak pictures and 0.5 on two of CLIC. They lose 0.39 and 0.11 dB. Letting the power grow as well,
-        // to 0.22, gains another 0.1 and 0.3 points but loses 0.05 of Butteraugli. The first knot is for small steps.
+        // on three Kodak pictures and 0.5 on two of CLIC. They lose 0.39 and 0.11 dB. The power grows as well. It
+        // gains 0.02, 0.1 and 0.2 points on Kodak and CID22 at ratios of 20, 50 and 100, and loses 0.00, 0.01 and 0.03
+        // of Butteraugli. With 0.22 Butteraugli loses three times as much. The first knot is for small steps.
         // On 18 pictures of Kodak and CID22 at a ratio of 10, it gains 0.1 points and 0.03 of Butteraugli; drawings
         // would lose 0.7 points by its chroma. Chroma slopes of 40 and 60 instead of 100 and 150 lose 0.05 to 0.16
         // points on Kodak, CID22 and CLIC at ratios of 20 to 100.
         Tune::Iq => Preset {
             head: DetailHead::SEEN,
             lambda: 0.1,
-            power: 0.11,
+            powers: [0.11, 0.165],
             slopes: Slopes(&[
                 Knot { step: 100, slopes: [10, 40], chroma: [80, 40] },
                 Knot { step: 600, slopes: [40, 100], chroma: [64, 32] },
@@ -116,8 +117,8 @@ struct Preset {
     head: DetailHead,
     /// Squared error that a bit must save (λ), in squared steps.
     lambda: f32,
-    /// Exponent of the luma variance with which the steps grow.
-    power: f32,
+    /// Exponents of the luma variance with which the steps grow, in fine and in coarse layers ([`Masking`]).
+    powers: [f32; 2],
     /// Growth of the steps with frequency, and steps of chroma.
     slopes: Slopes,
 }
@@ -291,7 +292,7 @@ pub(super) fn layered_in_parts<'a, S: EncodeSession<'a>>(
 
 /// Returns the parameters for coding a layer of a file with these channels. The caller sets the byte budget.
 fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSettings {
-    let Preset { mut head, lambda, power, slopes } = preset(tune);
+    let Preset { mut head, lambda, powers, slopes } = preset(tune);
     head.alpha = has_alpha;
     slopes.apply(&mut head);
     // For pure squared error, the rough estimate loses 0.1 dB.
@@ -300,7 +301,7 @@ fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSet
     let coding = Setting { head, channels, lambda, level_search, blocks, mixed_cost: 1.0 };
     SearchSettings {
         coding,
-        power,
+        powers,
         slopes,
         max_bytes: 0,
         max_runs: RUNS,
@@ -323,7 +324,7 @@ fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     if tune == Tune::Iq {
         // Prices do not include the cost of blocks with flat ground.
         settings.coding.blocks = BlockChoice::Rough;
-        settings.power = DRAWING_POWER;
+        settings.powers = [DRAWING_POWER; 2];
         settings.slopes = DRAWING_SLOPES;
         settings.slopes.apply(&mut settings.coding.head);
     }

@@ -4,8 +4,9 @@
 //! Memory holds the residual of one part, and the levels and block sizes of all tiles. Levels and block sizes take a
 //! few bytes for each byte of the file.
 
+use super::classes::Masking;
 use super::residual::{TileResidual, residual};
-use super::search::{Coded, SearchSettings, classes_of, code, mean_activity, search, smallest_step};
+use super::search::{Coded, SearchSettings, code, search, smallest_step};
 use super::search_settings;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
@@ -86,15 +87,15 @@ impl Parts<'_> {
             sample.extend(self.residuals(index, 1)?);
         }
         let share = area as f64 / (f64::from(self.source.width()) * f64::from(self.source.height()));
-        let mean = mean_activity(&sample, &settings);
         let of_sample = SearchSettings { max_bytes: (max_bytes as f64 * share) as u64, ..settings };
         let Some(first) = search(&sample, &of_sample, None) else { return Ok(None) };
-        drop(sample);
         let step = f64::from(first.layer.head.step);
+        let masking = Masking::of(&sample, &settings, step);
+        drop(sample);
         let (mut sizes, mut runs) = (None, 0.0);
         let found = smallest_step(&settings, step, |step| {
             let mut on_progress = |done: f32| on_progress(((runs + done) / EXPECTED).min(1.0));
-            let coded = self.coded(&settings, (mean, step), sizes.as_deref(), &mut on_progress)?;
+            let coded = self.coded(&settings, (masking, step), sizes.as_deref(), &mut on_progress)?;
             sizes.get_or_insert_with(|| coded.sizes.clone());
             runs += 1.0;
             Ok::<_, crate::Error>(coded)
@@ -121,7 +122,7 @@ impl Parts<'_> {
     fn coded(
         &self,
         settings: &SearchSettings,
-        (mean, step): (f32, u16),
+        (masking, step): (Masking, u16),
         sizes: Option<&[[Vec<u8>; 3]]>,
         on_progress: &mut dyn FnMut(f32) -> Result<()>,
     ) -> Result<Coded> {
@@ -130,7 +131,7 @@ impl Parts<'_> {
         for (index, count) in self.parts() {
             on_progress(index as f32 / self.count() as f32)?;
             let tiles = self.residuals(index, count)?;
-            let classes = classes_of(&tiles, settings, mean);
+            let classes = masking.classes(&tiles);
             let part = code(&tiles, &classes, settings, step, (sizes.map(|sizes| &sizes[index..index + count]), &[]));
             all.layer.tiles.extend(part.layer.tiles);
             all.sizes.extend(part.sizes);

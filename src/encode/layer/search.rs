@@ -2,7 +2,7 @@
 
 use super::blocks::blocks;
 use super::choose::{BlockChoice, Chosen, Setting, choose, priced_blocks};
-use super::classes::{activity, classes};
+use super::classes::Masking;
 use super::coefficients::{self, Division};
 use super::in_steps::{KEPT_TILES, KeptBase};
 use super::residual::TileResidual;
@@ -28,8 +28,8 @@ pub(super) struct Coded {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchSettings {
     pub coding: Setting,
-    /// Exponent of the variance with which the steps grow, if there are classes.
-    pub power: f32,
+    /// Exponents of the variance with which the steps grow in fine and in coarse layers, if there are classes.
+    pub powers: [f32; 2],
     /// Growth of the steps with frequency, and steps of chroma.
     pub slopes: Slopes,
     /// Maximum bytes of index and streams.
@@ -87,9 +87,9 @@ const LIKELY: f32 = 0.8;
 /// Returns the layer of `tiles` with the smallest step that fits, or `None` if none fits. `near` is a layer of nearly
 /// the same tiles. The search starts at its step and keeps its blocks if `settings` says so.
 pub(super) fn search(tiles: &[TileResidual], settings: &SearchSettings, near: Option<&Coded>) -> Option<Coded> {
-    let classes = classes_of(tiles, settings, mean_activity(tiles, settings));
     let mut sizes = near.filter(|_| settings.keeps_blocks).map(|near| near.sizes.clone());
     let step = near.map_or_else(|| guess(tiles, settings), |near| f64::from(near.layer.head.step));
+    let classes = Masking::of(tiles, settings, step).classes(tiles);
     let kept: Vec<KeptBase> = if tiles.len() <= KEPT_TILES { vec![KeptBase::new(); tiles.len()] } else { Vec::new() };
     let run = |step: u16| {
         let coded = code(tiles, &classes, settings, step, (sizes.as_deref(), &kept));
@@ -155,36 +155,11 @@ pub(super) fn smallest_step<E>(
     Ok(best)
 }
 
-/// Returns the mean activity of `tiles`. Returns 0 if there is only one class, which does not depend on it.
-pub(super) fn mean_activity(tiles: &[TileResidual], settings: &SearchSettings) -> f32 {
-    if settings.coding.head.classes == 1 {
-        return 0.0;
-    }
-    let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
-    // Superblocks outside a tile have no activity.
-    let there = || activity.iter().flatten().filter(|a| **a > 0.0);
-    there().sum::<f32>() / there().count().max(1) as f32
-}
-
-/// Returns the step classes of each tile's superblocks, in a picture with the mean activity `mean`. They are empty if
-/// there is only one class.
-pub(super) fn classes_of(tiles: &[TileResidual], settings: &SearchSettings, mean: f32) -> Vec<Vec<u8>> {
-    let Setting { head, .. } = settings.coding;
-    match head.classes {
-        1 => vec![Vec::new(); tiles.len()],
-        count => parallel::map(tiles.len(), |i| classes(&activity(&tiles[i]), mean, settings.power, count)),
-    }
-}
-
 /// Codes the layer of `tiles` with the step of the setting, in the blocks of `near`.
 pub(super) fn once(tiles: &[TileResidual], settings: &SearchSettings, near: &Coded) -> Coded {
-    code(
-        tiles,
-        &classes_of(tiles, settings, mean_activity(tiles, settings)),
-        settings,
-        settings.coding.head.step,
-        (Some(&near.sizes), &[]),
-    )
+    let step = settings.coding.head.step;
+    let classes = Masking::of(tiles, settings, step.into()).classes(tiles);
+    code(tiles, &classes, settings, step, (Some(&near.sizes), &[]))
 }
 
 /// Size of the block that each cell of a tile lies in, by kind.
@@ -290,7 +265,7 @@ mod tests {
         let plane = |seed: usize| (0..TILE * TILE).map(|i| ((i * seed) % 4001) as f32 - 2000.0).collect::<Vec<f32>>();
         let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
         let tiles = [TileResidual { size: [128, 96], planes: [plane(97), plane(89), plane(83), Vec::new()], luma }];
-        let classes = classes_of(&tiles, &settings, mean_activity(&tiles, &settings));
+        let classes = Masking::of(&tiles, &settings, 900.0).classes(&tiles);
         let kept = vec![KeptBase::new(); tiles.len()];
         let first = code(&tiles, &classes, &settings, 900, (None, &kept));
         assert!(first.bytes > 100);

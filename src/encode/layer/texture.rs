@@ -17,6 +17,11 @@ const FLAT: f64 = 0.001;
 /// photographs has 0.27. Coded as a drawing, it loses 1.9 SSIMULACRA2 points at a ratio of 50.
 const DRAWING: f64 = 0.3;
 
+/// Share of one-colour squares above which a picture is partly a drawing, such as a page with photographs.
+const PARTLY_DRAWN: f64 = 0.1;
+/// Activity above which such a picture is more than a simple diagram.
+const BUSY: f64 = 2.9;
+
 /// Fineness and strength of the texture of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Texture {
@@ -53,6 +58,12 @@ impl Texture {
         let count = (across * down) as f64;
         let [fine, coarse, activity, flat] = sums.map(|sum| sum / count);
         (coarse > 0.0).then(|| Texture { fineness: fine / coarse, activity, flat })
+    }
+
+    /// Returns whether the picture contains both flat regions and much detail, like a page of text with photographs or
+    /// a screenshot. Its texture does not tell how many Gaussians it needs.
+    pub(super) fn is_mixed(self) -> bool {
+        self.flat > PARTLY_DRAWN && self.activity > BUSY
     }
 
     /// Returns whether the picture is a diagram, a page or a screenshot rather than a photograph.
@@ -131,6 +142,9 @@ mod tests {
         );
         let framed = texture(|x, y| if x < 32 { 255 } else { noise(x / 2, y / 2) }).unwrap();
         assert!(framed.flat == 0.5 && framed.is_drawing() && !mixed.is_drawing(), "{framed:?} {mixed:?}");
+        // A page of text is mixed; a simple diagram and a photograph are not.
+        let line = texture(|x, _| if x == 32 { 0 } else { 255 }).unwrap();
+        assert_eq!([framed, line, mixed].map(Texture::is_mixed), [true, false, false]);
         // A checkerboard of 2×2-pixel squares has a variance of 100.
         let even = texture(|x, y| check(2)(x, y) + (x + y * 3) as u8 % 2).unwrap();
         assert!((even.activity - 104f64.ln()).abs() < 0.02, "{even:?}");
