@@ -26,7 +26,7 @@ const HEADER_BYTES: u64 = 1 + 4 + 5 + 4;
 /// Maximum effort of a thumbnail. It takes little work compared with a large picture.
 const EFFORT: u8 = 2;
 /// Factor on the iterations at effort 1, where a thumbnail would take a sixth of the time of 2.8 megapixels.
-const HASTY_ITERATIONS: f32 = 0.5;
+const HASTY_ITERATIONS: f32 = 0.3;
 /// Time budget of the encode relative to that of the thumbnail.
 const TIME: u32 = 20;
 
