@@ -74,9 +74,9 @@ fn preset(tune: Tune) -> Preset {
         // on three Kodak pictures and 0.5 on two of CLIC. They lose 0.39 and 0.11 dB. The power grows as well. It
         // gains 0.02, 0.1 and 0.2 points on Kodak and CID22 at ratios of 20, 50 and 100, and loses 0.00, 0.01 and 0.03
         // of Butteraugli. With 0.22 Butteraugli loses three times as much. The first knot is for small steps.
-        // On 18 pictures of Kodak and CID22 at a ratio of 10, it gains 0.1 points and 0.03 of Butteraugli; drawings
-        // would lose 0.7 points by its chroma. Chroma slopes of 40 and 60 instead of 100 and 150 lose 0.05 to 0.16
-        // points on Kodak, CID22 and CLIC at ratios of 20 to 100.
+        // On 18 pictures of Kodak and CID22 at a ratio of 10, that knot gains 0.1 points and 0.03 of Butteraugli;
+        // drawings would lose 0.7 points by its chroma. Chroma slopes of 40 and 60 instead of 100 and 150 lose 0.05 to
+        // 0.16 points on Kodak, CID22 and CLIC at ratios of 20 to 100.
         Tune::Iq => Preset {
             head: DetailHead::SEEN,
             lambda: 0.1,
