@@ -318,7 +318,10 @@ fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
     const CLOSE: f64 = 0.5;
     let within = options.time.map_or_else(String::new, |time| format!(" within {:.1} s", time.as_secs_f64()));
     match (options.target, report.quality) {
-        (Target::Quality(asked), Some(found)) if (found - asked).abs() > CLOSE => {
+        (Target::Quality(asked), Some(found)) if found > asked + CLOSE => {
+            Some(format!("no smaller file with --quality {asked} was found{within}: this one has {found:.1}"))
+        }
+        (Target::Quality(asked), Some(found)) if found < asked - CLOSE => {
             Some(format!("--quality {asked} was not met{within}: the file has {found:.1}"))
         }
         (Target::Psnr(asked), _) if report.psnr < asked => {

@@ -41,6 +41,8 @@ pub(super) struct WholeSession<'a> {
     pub device: Choice,
     /// Gaussians under a detail layer from an earlier try of a search.
     pub kept: Option<KeptBase>,
+    /// The best factor on the byte budget of these Gaussians, once several were tried.
+    pub base_factor: Option<f64>,
     /// The texture of the picture, once it is measured.
     pub texture: OnceCell<Option<Texture>>,
     pub report: ReportBuilder<'a>,
@@ -73,6 +75,7 @@ pub(super) fn encode(
         planes: Planes::with_hidden(fitted, options.hidden),
         clock,
         kept: None,
+        base_factor: None,
         texture: OnceCell::new(),
         device,
         report,

@@ -158,7 +158,8 @@ impl WholeSession<'_> {
         let &Division { fixed, shared, texture, rounds, until } = division;
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.samples() / all).max(20.0);
-        let few = division::base_bytes(self.input.options.effort, self.pixels(), texture, ratio, all);
+        let suited = division::base_bytes(self.input.options.effort, self.pixels(), texture, ratio, all);
+        let few = (self.base_factor.unwrap_or(1.0) * suited).min(MAX_TRIED_SHARE * all);
         let most_for_base = division::most_for_base(ratio) * all;
         // A base that is kept from a larger file of a sharp picture can be too large for a smaller file.
         let room = fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(division::MOST_SHARP * all);
@@ -199,11 +200,15 @@ impl WholeSession<'_> {
         if layered.coded.is_none() {
             return self.gaussians_of_size(alone);
         }
-        if is_new && until.is_none() && division::is_uncertain(self.input.options.effort, texture, ratio) {
-            layered = self.best_division(layered, few, division)?;
+        let mut base_budget = few;
+        let is_uncertain = division::is_uncertain(self.input.options.effort, texture, ratio);
+        if is_new && until.is_none() && self.base_factor.is_none() && is_uncertain {
+            (layered, base_budget) = self.best_division(layered, few, division)?;
+            // Further tries of a search use the same division.
+            self.base_factor = Some(base_budget / few);
         }
         if is_new {
-            self.keep(&layered.base, few);
+            self.keep(&layered.base, base_budget);
         }
         let clock = self.report.seconds();
         let outcome = self.joined(layered, most, rounds, until)?;
@@ -212,11 +217,11 @@ impl WholeSession<'_> {
     }
 
     /// Encodes with more and with fewer bytes for the Gaussians than the base of `first`, whose budget is `few` bytes, as
-    /// long as MS-SSIM increases. Returns the best result.
-    fn best_division(&mut self, first: Layered, few: f64, division: &Division) -> Result<Layered> {
+    /// long as MS-SSIM increases. Returns the best result and the budget of its base.
+    fn best_division(&mut self, first: Layered, few: f64, division: &Division) -> Result<(Layered, f64)> {
         let most = MAX_TRIED_SHARE * division.shared as f64;
-        let Some(mut dissimilarity) = self.dissimilarity(&first)? else { return Ok(first) };
-        let mut best = first;
+        let Some(mut dissimilarity) = self.dissimilarity(&first)? else { return Ok((first, few)) };
+        let mut best = (first, few);
         let (up, down) = (TRIED_CHANGE, 1.0 / TRIED_CHANGE);
         for change in if few * up < most { [up, down] } else { [down, up] } {
             let (mut bytes, mut is_better) = (few, false);
@@ -232,7 +237,7 @@ impl WholeSession<'_> {
                 self.report.stage("detail", clock);
                 match self.dissimilarity(&other)? {
                     Some(found) if found < MIN_IMPROVEMENT * dissimilarity => {
-                        (best, dissimilarity, is_better) = (other, found, true);
+                        (best, dissimilarity, is_better) = ((other, bytes), found, true);
                     }
                     _ => break,
                 }
