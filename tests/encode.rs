@@ -308,6 +308,19 @@ fn the_default_effort_finds_the_best_division_for_a_page_with_a_picture() {
 }
 
 #[test]
+fn a_search_tries_several_divisions_of_a_page_once() {
+    let mut options = quick(Target::Psnr(28.0));
+    (options.effort, options.tune) = (4, Some(Tune::Iq));
+    let encoded = encode(&page(208), &options).unwrap();
+    let stages = |name: &str| encoded.report.stages.iter().filter(|stage| stage.name == name).count();
+    // Each division has one stage of detail, and each try one more for the rounds after it.
+    let fits = stages("fit");
+    let tries = stages("detail") - fits;
+    assert!(tries >= 3 && fits >= 3, "{fits} fits in {tries} tries");
+    assert!(fits <= tries + 3, "{fits} fits in {tries} tries");
+}
+
+#[test]
 fn a_psnr_is_reached_with_metadata_of_any_size() {
     let pixels = picture(64, 48, Channels::Rgb);
     for wanted in [12.0, 24.0] {
