@@ -52,7 +52,7 @@ const MAX_PATIENCE: f32 = 2.0;
 const PATIENT_RATIOS: [f64; 4] = [10.0, 20.0, 50.0, 100.0];
 const PATIENCE_AT: [f64; 4] = [1.0, 1.6, 1.0, 0.8];
 /// Minimum effort and maximum ratio at which several divisions are tried for mixed pictures. At ratios of 20, 50 and
-/// 100, a page with photographs gains 1.6, 3.9 and 3.8 points, eight similar pages 0.2, 1.3 and 0.2 in the mean, and
+/// 100, a page with photographs gains 1.6, 3.9 and 3.8 points, eight similar pages 0.2, 1.3 and 0.5 in the mean, and
 /// three pictures of CID22 0.5, 0.3 and 0.8. They take 2.5 times as long. At 200, MS-SSIM prefers divisions that lose
 /// SSIMULACRA2.
 const MIN_TRYING_EFFORT: u8 = 4;
