@@ -134,7 +134,9 @@ def encode(
     }
     data, found, reached = _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
     if quality is not None and found is not None and abs(found - quality) > _CLOSE:
-        warnings.warn(f"quality {quality} was not met: the file has {found:.1f}", QualityWarning, stacklevel=2)
+        missed = f"quality {quality} was not met: the file has {found:.1f}"
+        larger = f"no smaller file with quality {quality} was found: this one has {found:.1f}"
+        warnings.warn(larger if found > quality else missed, QualityWarning, stacklevel=2)
     if psnr is not None and reached < psnr:
         warnings.warn(f"psnr {psnr} was not met: the file has {reached:.2f} dB", QualityWarning, stacklevel=2)
     return data
