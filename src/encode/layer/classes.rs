@@ -18,9 +18,18 @@ const COARSE: [f64; 2] = [250.0, 600.0];
 /// Class step that leaves the layer's step unchanged, in 1/64.
 const MIDDLE: f32 = 64.0;
 
+/// Returns the activity of each superblock of `tiles`. It is empty if there is only one class, which does not depend on
+/// it.
+pub(super) fn activities(tiles: &[TileResidual], settings: &SearchSettings) -> Vec<Vec<f32>> {
+    match settings.coding.head.classes {
+        1 => vec![Vec::new(); tiles.len()],
+        _ => parallel::map(tiles.len(), |i| activity(&tiles[i])),
+    }
+}
+
 /// Returns the activity of each superblock of `tile`: the logarithm of the luma variance around a square, averaged over
 /// the squares of the superblock.
-pub(super) fn activity(tile: &TileResidual) -> Vec<f32> {
+fn activity(tile: &TileResidual) -> Vec<f32> {
     let [across, down] = tile.size.map(|side| side.next_multiple_of(SUPER) / SQUARE);
     let mut moments = vec![[0f32; 2]; across * down];
     for (i, moment) in moments.iter_mut().enumerate() {
@@ -78,25 +87,17 @@ pub(super) struct Masking {
 }
 
 impl Masking {
-    /// Measures `tiles`, for a layer with about this step.
-    pub(super) fn of(tiles: &[TileResidual], settings: &SearchSettings, step: f64) -> Masking {
-        let count = settings.coding.head.classes;
-        if count == 1 {
-            return Masking { mean: 0.0, power: 0.0, count };
-        }
-        let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
+    /// Returns the rule for a picture whose superblocks have this activity, and a layer with about this step.
+    pub(super) fn new(activity: &[Vec<f32>], settings: &SearchSettings, step: f64) -> Masking {
         // Superblocks outside a tile have no activity.
         let there = || activity.iter().flatten().filter(|a| **a > 0.0);
         let mean = there().sum::<f32>() / there().count().max(1) as f32;
-        Masking { mean, power: power(settings.powers, step), count }
+        Masking { mean, power: power(settings.powers, step), count: settings.coding.head.classes }
     }
 
-    /// Returns the step classes of each tile's superblocks. They are empty if there is only one class.
-    pub(super) fn classes(self, tiles: &[TileResidual]) -> Vec<Vec<u8>> {
-        match self.count {
-            1 => vec![Vec::new(); tiles.len()],
-            _ => parallel::map(tiles.len(), |i| activity(&tiles[i]).iter().map(|&a| self.class(a)).collect()),
-        }
+    /// Returns the step classes of the superblocks of each tile.
+    pub(super) fn classes(self, activity: &[Vec<f32>]) -> Vec<Vec<u8>> {
+        activity.iter().map(|tile| tile.iter().map(|&a| self.class(a)).collect()).collect()
     }
 
     /// Returns the class of a superblock with this activity.

@@ -9,7 +9,7 @@
 //! `python lab/fit_division.py PICTURES PROGRAM` encodes sets of pictures with several divisions, fits the constants of
 //! the rule for photographs to the results, and writes a table of what each picture would have had.
 
-use super::texture::Texture;
+use super::texture::{self, Texture};
 use crate::bitstream::splats::Layout;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::options::{Detail, EncodeOptions, Recipe, Tune};
@@ -37,12 +37,12 @@ const MIN_FINE_BASE: f64 = 0.5;
 const FINE_BASE_RATIOS: [f64; 2] = [25.0, 100.0];
 /// Activities at which a drawing starts to have a larger base and at which its factor is the largest, and that factor.
 /// A page of text with photographs gains 4 SSIMULACRA2 points at a ratio of 50; simple diagrams would lose up to 1.
-const BUSY_DRAWING: [f64; 2] = [2.9, 3.9];
+const BUSY_DRAWING: [f64; 2] = [texture::BUSY, 3.9];
 const MAX_DRAWING_BASE: f64 = 1.4;
 /// Shares of flat squares at which the fit of a picture under a layer starts to be longer and at which it is longest,
 /// and the largest factor on its iterations. With twice the iterations, seven diagrams and pages gain 0.5 and 0.8
 /// points at ratios of 50 and 100, and take 1.4 to 1.6 times as long.
-const PATIENT_FLAT: [f64; 2] = [0.1, 0.3];
+const PATIENT_FLAT: [f64; 2] = [texture::PARTLY_DRAWN, texture::DRAWING];
 const MAX_PATIENCE: f32 = 2.0;
 /// Factors on the iterations of the fits of other small pictures under a layer, at ratios of 10, 20, 50 and 100, at
 /// efforts 4 to 6. Between the ratios they depend on the logarithm of the ratio. At 20, 1.6 gains 0.15 points on Kodak
@@ -80,7 +80,7 @@ const ALWAYS_RATIO: f64 = 80.0;
 /// Minimum share of the bytes for the Gaussians of a large, busy picture at a ratio of 100, where the layer is coarse.
 const BUSY_SHARE: f64 = 0.5;
 /// Activities at which a picture starts to count as busy and at which it counts in full.
-const BUSY: [f64; 2] = [2.9, 4.1];
+const BUSY: [f64; 2] = [texture::BUSY, 4.1];
 /// Logarithm of the number of pixels, relative to [`REFERENCE_PIXELS`], at which that share applies in full.
 const BUSY_SIZE: f64 = 1.9;
 /// Minimum size of a file with a layer, bytes.

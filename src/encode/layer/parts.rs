@@ -4,7 +4,7 @@
 //! Memory holds the residual of one part, and the levels and block sizes of all tiles. Levels and block sizes take a
 //! few bytes for each byte of the file.
 
-use super::classes::Masking;
+use super::classes::{Masking, activities};
 use super::residual::{TileResidual, residual};
 use super::search::{Coded, SearchSettings, code, search, smallest_step};
 use super::search_settings;
@@ -90,7 +90,7 @@ impl Parts<'_> {
         let of_sample = SearchSettings { max_bytes: (max_bytes as f64 * share) as u64, ..settings };
         let Some(first) = search(&sample, &of_sample, None) else { return Ok(None) };
         let step = f64::from(first.layer.head.step);
-        let masking = Masking::of(&sample, &settings, step);
+        let masking = Masking::new(&activities(&sample, &settings), &settings, step);
         drop(sample);
         let (mut sizes, mut runs) = (None, 0.0);
         let found = smallest_step(&settings, step, |step| {
@@ -131,7 +131,7 @@ impl Parts<'_> {
         for (index, count) in self.parts() {
             on_progress(index as f32 / self.count() as f32)?;
             let tiles = self.residuals(index, count)?;
-            let classes = masking.classes(&tiles);
+            let classes = masking.classes(&activities(&tiles, settings));
             let part = code(&tiles, &classes, settings, step, (sizes.map(|sizes| &sizes[index..index + count]), &[]));
             all.layer.tiles.extend(part.layer.tiles);
             all.sizes.extend(part.sizes);

@@ -2,7 +2,7 @@
 
 use super::blocks::blocks;
 use super::choose::{BlockChoice, Chosen, Setting, choose, priced_blocks};
-use super::classes::Masking;
+use super::classes::{Masking, activities};
 use super::coefficients::{self, Division};
 use super::in_steps::{KEPT_TILES, KeptBase};
 use super::residual::TileResidual;
@@ -89,7 +89,8 @@ const LIKELY: f32 = 0.8;
 pub(super) fn search(tiles: &[TileResidual], settings: &SearchSettings, near: Option<&Coded>) -> Option<Coded> {
     let mut sizes = near.filter(|_| settings.keeps_blocks).map(|near| near.sizes.clone());
     let step = near.map_or_else(|| guess(tiles, settings), |near| f64::from(near.layer.head.step));
-    let classes = Masking::of(tiles, settings, step).classes(tiles);
+    let activity = activities(tiles, settings);
+    let classes = Masking::new(&activity, settings, step).classes(&activity);
     let kept: Vec<KeptBase> = if tiles.len() <= KEPT_TILES { vec![KeptBase::new(); tiles.len()] } else { Vec::new() };
     let run = |step: u16| {
         let coded = code(tiles, &classes, settings, step, (sizes.as_deref(), &kept));
@@ -158,7 +159,8 @@ pub(super) fn smallest_step<E>(
 /// Codes the layer of `tiles` with the step of the setting, in the blocks of `near`.
 pub(super) fn once(tiles: &[TileResidual], settings: &SearchSettings, near: &Coded) -> Coded {
     let step = settings.coding.head.step;
-    let classes = Masking::of(tiles, settings, step.into()).classes(tiles);
+    let activity = activities(tiles, settings);
+    let classes = Masking::new(&activity, settings, step.into()).classes(&activity);
     code(tiles, &classes, settings, step, (Some(&near.sizes), &[]))
 }
 
@@ -265,7 +267,8 @@ mod tests {
         let plane = |seed: usize| (0..TILE * TILE).map(|i| ((i * seed) % 4001) as f32 - 2000.0).collect::<Vec<f32>>();
         let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
         let tiles = [TileResidual { size: [128, 96], planes: [plane(97), plane(89), plane(83), Vec::new()], luma }];
-        let classes = Masking::of(&tiles, &settings, 900.0).classes(&tiles);
+        let activity = activities(&tiles, &settings);
+        let classes = Masking::new(&activity, &settings, 900.0).classes(&activity);
         let kept = vec![KeptBase::new(); tiles.len()];
         let first = code(&tiles, &classes, &settings, 900, (None, &kept));
         assert!(first.bytes > 100);

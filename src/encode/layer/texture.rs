@@ -15,12 +15,12 @@ const FLAT: f64 = 0.001;
 /// Share of one-colour squares above which a picture is a drawing. Of 50 pictures, 8 diagrams, pages and screenshots
 /// have 0.34 to 0.86, one cut-out on white has 0.67, and all other photographs have at most 0.12. A page with
 /// photographs has 0.27. Coded as a drawing, it loses 1.9 SSIMULACRA2 points at a ratio of 50.
-const DRAWING: f64 = 0.3;
+pub(super) const DRAWING: f64 = 0.3;
 
 /// Share of one-colour squares above which a picture is partly a drawing, such as a page with photographs.
-const PARTLY_DRAWN: f64 = 0.1;
-/// Activity above which such a picture is more than a simple diagram.
-const BUSY: f64 = 2.9;
+pub(super) const PARTLY_DRAWN: f64 = 0.1;
+/// Activity above which a picture is busy: more than a simple diagram.
+pub(super) const BUSY: f64 = 2.9;
 
 /// Fineness and strength of the texture of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
