@@ -20,6 +20,7 @@ use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
 use crate::parameter::Limit;
+use crate::simd::LANES;
 
 /// A detail layer, ready to be added to a view.
 #[derive(Debug)]
@@ -60,6 +61,9 @@ const LINE_BYTES: u64 = 2 * size_of::<Taps>() as u64;
 /// Work of reading and rendering a level of a detail layer, in the units of [`Limits::work`]. A large level takes 110
 /// ns, and a unit half a nanosecond with plain instructions.
 const LEVEL_WORK: u64 = 200;
+
+/// Rows of tiles that are resampled together.
+const LINES: usize = 16;
 
 /// Value of a tile's unit, where 1 is white.
 pub(super) const SCALE: f32 = UNIT / 255.0;
@@ -255,39 +259,40 @@ impl Overlay {
         values.clear();
         values.resize(rows.len() * length, 0.0f32);
         let side = self.size.map(|side| side as usize);
-        let columns = axis(view, 0, left..left + stride as i64, side[0]);
+        let mut columns = axis(view, 0, left..left + stride as i64, side[0]);
         let downs = axis(view, 1, rows.start.into()..rows.end.into(), side[1]);
         // The CPU renders such views directly from tiles.
         let is_direct = cfg!(feature = "gpu") && left == 0 && stride == view.width as usize && self.is_direct(view);
         // Tiles that are needed.
         let (across, down) = (tiles_of(&columns), tiles_of(&downs));
+        columns.iter_mut().for_each(|taps| taps.first -= across.start * TILE);
         for row in down {
             let planes = self.tile_row(row, across.clone());
+            if planes.iter().all(Option::is_none) {
+                continue;
+            }
             let within = row * TILE..(row + 1) * TILE;
             // Rows to which these tiles contribute; there may be many thousands. Both ends of the taps are in
             // ascending order.
             let first = downs.partition_point(|taps| taps.end() <= within.start);
             let some = first..downs.partition_point(|taps| taps.first < within.end);
-            parallel::map_chunks(&mut values[some.start * length..some.end * length], length, |k, out| {
-                let down = &downs[some.start + k];
-                let mut samples = Vec::new();
-                for (y, weight) in down.pixels(within.clone()) {
-                    let line = y % TILE;
-                    if is_direct {
+            let part = &mut values[some.start * length..some.end * length];
+            if is_direct {
+                parallel::map_chunks(part, length, |k, out| {
+                    for (y, _) in downs[some.start + k].pixels(within.clone()) {
                         for (c, out) in out.chunks_exact_mut(stride).enumerate() {
-                            scale(&planes, (c, line), columns[0].first, out);
-                        }
-                        continue;
-                    }
-                    interleave(&planes, line, channels, &mut samples);
-                    for (i, taps) in columns.iter().enumerate() {
-                        let sums = taps.sums(&samples[taps.first - across.start * TILE..]);
-                        for (c, sum) in sums.iter().enumerate().take(channels) {
-                            out[c * stride + i] += sum * (weight * SCALE);
+                            scale(&planes, (c, y % TILE), columns[0].first, out);
                         }
                     }
-                }
-            });
+                });
+            } else {
+                // Rows that share cache lines of the tiles are computed together.
+                let rows = ((LINES as f64 / view.step[1]) as usize).clamp(1, LINES);
+                parallel::map_chunks(part, rows * length, |k, out| {
+                    let downs = &downs[some.start + k * rows..];
+                    resample(&planes, &columns, (downs, within.clone()), [channels, stride], out);
+                });
+            }
             planes.into_iter().flatten().for_each(|planes| self.recycle_planes(planes));
         }
         Additions { top: rows.start, stride, channels, values }
@@ -336,19 +341,72 @@ fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
     pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()
 }
 
-/// Collects the additions to row `line` of a row of tiles, with the channels of a pixel next to each other. Channels
-/// that do not exist are 0.
-fn interleave(tiles: &[Option<TilePlanes>], line: usize, channels: usize, samples: &mut Vec<[f32; 4]>) {
-    samples.clear();
-    samples.resize(tiles.len() * TILE, [0.0; 4]);
-    for (part, planes) in samples.chunks_exact_mut(TILE).zip(tiles) {
-        let Some(planes) = planes else { continue };
-        for c in 0..channels {
-            for (sample, value) in part.iter_mut().zip(planes.row(c, [0, line])) {
-                sample[c] = value.into();
+/// Adds what a row of tiles contributes to some rows of a view to `out`: `stride` samples of the first channel of a row,
+/// those of the other channels, then the next row. `columns` are the taps of the columns, counted from the first tile on,
+/// `downs` those of the rows, and `within` the rows of the picture that the tiles cover.
+///
+/// Columns are visited in groups that refer to about a tile, and each group for all rows, strip by strip. Strips lie in
+/// different pages, and the samples of adjacent rows of a strip in one cache line.
+fn resample(
+    tiles: &[Option<TilePlanes>],
+    columns: &[Taps],
+    (downs, within): (&[Taps], Range<usize>),
+    [channels, stride]: [usize; 2],
+    out: &mut [f32],
+) {
+    let mut samples = Vec::new();
+    let mut at = 0;
+    while let Some(first) = columns.get(at) {
+        // Columns of a view are in ascending order.
+        let count = columns[at..].partition_point(|taps| taps.end() <= first.first + TILE).max(1);
+        let group = &columns[at..at + count];
+        let (start, end) = (first.first / LANES * LANES, group[count - 1].end());
+        // Wide columns refer to many pixels of a row.
+        let most = (LINES * TILE / (end - start)).max(1);
+        for (out, down) in out.chunks_exact_mut(stride * channels).zip(downs) {
+            let lines = down.first.max(within.start)..down.end().min(within.end);
+            for first in lines.clone().step_by(most) {
+                let some = first..lines.end.min(first + most);
+                let length = interleave(tiles, start..end, [first % TILE, some.len()], channels, &mut samples);
+                for ((_, weight), samples) in down.pixels(some).zip(samples.chunks_exact(length)) {
+                    for (i, taps) in group.iter().enumerate() {
+                        let sums = taps.sums(&samples[taps.first - start..]);
+                        for (c, sum) in sums.iter().enumerate().take(channels) {
+                            out[c * stride + at + i] += sum * (weight * SCALE);
+                        }
+                    }
+                }
             }
         }
+        at += count;
     }
+}
+
+/// Collects the additions to some columns of a row of tiles in `count` rows from `line` on, with the channels of a pixel
+/// next to each other. The first column is that of a strip. Channels that do not exist are 0. Returns the number of
+/// pixels from row to row.
+fn interleave(
+    tiles: &[Option<TilePlanes>],
+    columns: Range<usize>,
+    [line, count]: [usize; 2],
+    channels: usize,
+    samples: &mut Vec<[f32; 4]>,
+) -> usize {
+    let length = columns.len().next_multiple_of(LANES);
+    samples.clear();
+    samples.resize(length * count, [0.0; 4]);
+    for (k, x) in columns.step_by(LANES).enumerate() {
+        let Some(planes) = &tiles[x / TILE] else { continue };
+        for (i, row) in samples.chunks_exact_mut(length).enumerate() {
+            let mut values = [[0; LANES]; 4];
+            for (c, values) in values.iter_mut().enumerate().take(channels) {
+                *values = planes.strip(c, [x % TILE, line + i], 1)[0];
+            }
+            let pixels: [[f32; 4]; LANES] = std::array::from_fn(|i| values.map(|channel| channel[i].into()));
+            row[k * LANES..][..LANES].copy_from_slice(&pixels);
+        }
+    }
+    length
 }
 
 /// Copies the additions of a row of tiles at their own size, scaled to parts of white: those of channel `c` in row
