@@ -154,8 +154,10 @@ fn sweep_channels<const C: usize>(
     let mut gain = 0.0;
     // Each band belongs to one thread. A primitive is tried in a band that contains all rows it may touch, so that no
     // two threads write to the same pixels. The last band is the whole picture, so that every primitive is tried.
-    let mut band = BAND;
+    let mut least = BAND;
     while !waiting.is_empty() {
+        // Bands of equal height keep threads busy for equally long.
+        let band = height.div_ceil(height.div_ceil(least));
         // Bands shifted by half take the primitives that cross a border of the first ones. Larger bands take the rest.
         for offset in [0, band / 2] {
             let members = Bands { height, band, offset }.take(&mut waiting, &projected);
@@ -185,7 +187,7 @@ fn sweep_channels<const C: usize>(
                 break;
             }
         }
-        band *= 4;
+        least *= 2;
     }
     gain
 }

@@ -154,6 +154,14 @@ impl WholeSession<'_> {
         self.gaussians_of_size(&FitRequest { size, time, under_layer: Some(under_layer), initial })
     }
 
+    /// Codes a layer over `base` in a file of `most` bytes, and records the time.
+    fn timed_layer(&mut self, base: Outcome, most: u64) -> Result<Layered> {
+        let clock = self.report.seconds();
+        let layered = self.layer(base, most)?;
+        self.report.stage("detail", clock);
+        Ok(layered)
+    }
+
     /// Finds the division of the bytes and encodes the file. `alone` requests the same file without a layer.
     fn divided(&mut self, division: &Division, alone: &FitRequest) -> Result<Outcome> {
         let &Division { fixed, shared, texture, rounds, until } = division;
@@ -173,9 +181,7 @@ impl WholeSession<'_> {
             }
             return layered_in_parts(self, self.input.pixels, base, most);
         }
-        let clock = self.report.seconds();
-        let mut layered = self.layer(base, most)?;
-        self.report.stage("detail", clock);
+        let mut layered = self.timed_layer(base, most)?;
         // With perceptual tuning the smaller base is equally good. A time budget is too short for several fits.
         let is_exact = self.input.options.favoured() == Tune::Psnr;
         let may_be_larger = is_new && is_exact && until.is_none() && most_for_base > MIN_BASE_GROWTH * few;
@@ -185,9 +191,7 @@ impl WholeSession<'_> {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
                 let initial = primitives_of(&layered.base.splats);
                 let base = self.base(bytes as u64, division, initial)?;
-                let clock = self.report.seconds();
-                let mut other = self.layer(base, most)?;
-                self.report.stage("detail", clock);
+                let mut other = self.timed_layer(base, most)?;
                 let gain =
                     10.0 * (self.error_of_layered(&mut layered) / self.error_of_layered(&mut other)).strict_log10();
                 if gain > 0.0 {
@@ -233,9 +237,7 @@ impl WholeSession<'_> {
                 }
                 bytes = next;
                 let base = self.base(bytes as u64, division, Vec::new())?;
-                let clock = self.report.seconds();
-                let other = self.layer(base, division.fixed + division.shared)?;
-                self.report.stage("detail", clock);
+                let other = self.timed_layer(base, division.fixed + division.shared)?;
                 match self.dissimilarity(&other)? {
                     Some(found) if found < MIN_IMPROVEMENT * dissimilarity => {
                         (best, dissimilarity, is_better) = ((other, bytes), found, true);
