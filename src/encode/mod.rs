@@ -14,6 +14,7 @@ mod hidden;
 mod input;
 mod job;
 mod layer;
+mod machine_speed;
 mod pipeline;
 mod prune;
 mod rate_control;
@@ -138,7 +139,7 @@ fn encode_by(
     }
     let side = side(source, options);
     let texture = || if side.is_none() { source.as_pixels().and_then(Texture::of_pixels) } else { None };
-    let effort = timed_effort::affordable(source.size(), source.channels(), options, texture);
+    let effort = timed_effort::affordable(source.size(), source.channels(), options, texture, machine_speed::slowness);
     let lower = (effort < options.effort).then(|| EncodeOptions { effort, ..options.clone() });
     let options = lower.as_ref().unwrap_or(options);
     match (side, source.as_pixels()) {

@@ -17,20 +17,27 @@ use crate::parallel;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 
-/// Seconds that an effort takes on one thread for a photograph of one megapixel at a ratio of 50, and the power of the
-/// number of pixels with which they grow. Measured on photographs of 0.4 and 2.8 megapixels, on an Intel Xeon (model
-/// 167 of family 6).
+/// Ratio at which [`SECONDS`] were measured.
+const MEASURED_RATIO: f64 = 50.0;
+/// Power of the bytes with which the seconds grow at lower ratios. At a ratio of 20, efforts 1, 3 and 5 take 1.2, 1.2
+/// and 1.1 times as long.
+const BYTES_POWER: f64 = 0.2;
+/// Seconds that an effort takes on one thread for a photograph of one megapixel at [`MEASURED_RATIO`], and the power of
+/// the number of pixels with which they grow up to [`LARGE`]. From the means of Kodak and CLIC in
+/// `docs/BENCHMARKS.md`, on an Intel Xeon (model 167 of family 6); efforts 6, 8 and 9 are estimates.
 const SECONDS: [(f64, f64); 9] = [
-    (0.7, 1.05),
-    (1.2, 1.0),
-    (1.95, 0.85),
-    (2.3, 0.75),
-    (2.6, 0.67),
-    (6.0, 0.67),
-    (13.0, 0.67),
-    (21.0, 0.67),
-    (33.0, 0.67),
+    (0.54, 0.82),
+    (1.1, 0.74),
+    (1.75, 0.58),
+    (2.0, 0.51),
+    (2.4, 0.39),
+    (4.0, 0.5),
+    (11.0, 0.34),
+    (20.0, 0.5),
+    (33.0, 0.5),
 ];
+/// Megapixels above which the seconds grow in proportion to the pixels.
+const LARGE: f64 = 2.8;
 /// Part of the work that one thread does alone.
 const SERIAL: f64 = 0.3;
 /// Duration of a search for a PSNR or a quality, relative to that of one encode.
@@ -38,20 +45,22 @@ const SEARCH: f64 = 3.0;
 
 /// Returns the highest effort, up to that of `options`, whose encode of a picture of this size is expected to take no
 /// longer than the time budget; effort 1 if none is. It is that of `options` for a file without a layer. `texture`
-/// measures the texture of a picture that is fitted as a whole.
+/// measures the texture of a picture that is fitted as a whole, and `slowness` how many times longer this machine takes
+/// than that of [`SECONDS`].
 pub(super) fn affordable(
     [width, height]: [u32; 2],
     channels: Channels,
     options: &EncodeOptions,
     texture: impl FnOnce() -> Option<Texture>,
+    slowness: impl FnOnce() -> f64,
 ) -> u8 {
     let Some(time) = options.time else { return options.effort };
     let pixels = u64::from(width) * u64::from(height);
     let samples = pixels as f64 * channels.count() as f64;
-    let has_layer = match size_asked(options, samples, 0) {
-        Size::Bytes(bytes) => has_layer(options, pixels, samples, bytes, texture),
+    let (has_layer, ratio) = match size_asked(options, samples, 0) {
+        Size::Bytes(bytes) => (has_layer(options, pixels, samples, bytes, texture), samples / bytes.max(1) as f64),
         // A search tries files of many sizes.
-        Size::Free => is_search(options.target),
+        Size::Free => (is_search(options.target), MEASURED_RATIO),
     };
     if !has_layer {
         return options.effort;
@@ -59,10 +68,12 @@ pub(super) fn affordable(
     let megapixels = pixels as f64 / 1e6;
     let threads = parallel::threads().max(1) as f64;
     let tries = if is_search(options.target) { SEARCH } else { 1.0 };
-    let factor = tries * (SERIAL + (1.0 - SERIAL) / threads);
+    let more_bytes = (MEASURED_RATIO / ratio).max(1.0).strict_powf(BYTES_POWER);
+    let factor = slowness() * more_bytes * tries * (SERIAL + (1.0 - SERIAL) / threads);
     let fits = |&effort: &u8| {
         let (seconds, power) = SECONDS[usize::from(effort) - 1];
-        Duration::try_from_secs_f64(factor * seconds * megapixels.strict_powf(power)).is_ok_and(|needed| needed <= time)
+        let seconds = seconds * megapixels.min(LARGE).strict_powf(power) * (megapixels / LARGE).max(1.0);
+        Duration::try_from_secs_f64(factor * seconds).is_ok_and(|needed| needed <= time)
     };
     (1..=options.effort).rev().find(fits).unwrap_or(1)
 }
@@ -80,6 +91,7 @@ mod tests {
                 Channels::Rgb,
                 &EncodeOptions { effort, time: time.map(Duration::from_secs_f64), ..EncodeOptions::default() },
                 || None,
+                || 1.0,
             )
         };
         let mut last = 1;
@@ -99,11 +111,19 @@ mod tests {
     }
 
     #[test]
+    fn the_effort_falls_on_a_slow_machine() {
+        let options = EncodeOptions { time: Some(Duration::from_secs(60)), ..EncodeOptions::default() };
+        let effort = |slowness| affordable([2000; 2], Channels::Rgb, &options, || None, || slowness);
+        assert_eq!([1.0, 1e6].map(effort), [5, 1]);
+    }
+
+    #[test]
     fn the_texture_decides_at_high_ratios() {
         let effort = |ratio, fineness| {
             let time = Some(Duration::from_millis(200));
             let options = EncodeOptions { target: Target::Ratio(ratio), time, ..EncodeOptions::default() };
-            affordable([768, 512], Channels::Rgb, &options, || Some(Texture { fineness, activity: 4.0, flat: 0.0 }))
+            let texture = Texture { fineness, activity: 4.0, flat: 0.0 };
+            affordable([768, 512], Channels::Rgb, &options, || Some(texture), || 1.0)
         };
         assert_eq!([50.0, 200.0].map(|ratio| effort(ratio, 0.9)), [1, 1]);
         // With coarse texture, the file has no layer at a ratio of 200.
