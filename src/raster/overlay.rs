@@ -62,8 +62,8 @@ const LINE_BYTES: u64 = 2 * size_of::<Taps>() as u64;
 /// ns, and a unit half a nanosecond with plain instructions.
 const LEVEL_WORK: u64 = 200;
 
-/// Rows of tiles that are resampled together.
-const LINES: usize = 16;
+/// Samples of rows of tiles that are held at once for resampling, unless one row needs more.
+const HELD_SAMPLES: usize = 1 << 16;
 
 /// Value of a tile's unit, where 1 is white.
 pub(super) const SCALE: f32 = UNIT / 255.0;
@@ -259,40 +259,45 @@ impl Overlay {
         values.clear();
         values.resize(rows.len() * length, 0.0f32);
         let side = self.size.map(|side| side as usize);
-        let mut columns = axis(view, 0, left..left + stride as i64, side[0]);
+        let columns = axis(view, 0, left..left + stride as i64, side[0]);
         let downs = axis(view, 1, rows.start.into()..rows.end.into(), side[1]);
         // The CPU renders such views directly from tiles.
         let is_direct = cfg!(feature = "gpu") && left == 0 && stride == view.width as usize && self.is_direct(view);
         // Tiles that are needed.
         let (across, down) = (tiles_of(&columns), tiles_of(&downs));
-        columns.iter_mut().for_each(|taps| taps.first -= across.start * TILE);
+        let most = (HELD_SAMPLES / (across.len() * TILE).max(1)).max(1);
         for row in down {
             let planes = self.tile_row(row, across.clone());
-            if planes.iter().all(Option::is_none) {
-                continue;
-            }
             let within = row * TILE..(row + 1) * TILE;
             // Rows to which these tiles contribute; there may be many thousands. Both ends of the taps are in
             // ascending order.
             let first = downs.partition_point(|taps| taps.end() <= within.start);
             let some = first..downs.partition_point(|taps| taps.first < within.end);
-            let part = &mut values[some.start * length..some.end * length];
-            if is_direct {
-                parallel::map_chunks(part, length, |k, out| {
-                    for (y, _) in downs[some.start + k].pixels(within.clone()) {
+            parallel::map_chunks(&mut values[some.start * length..some.end * length], length, |k, out| {
+                let down = &downs[some.start + k];
+                let mut samples = Vec::new();
+                let mut held = 0..0;
+                for (y, weight) in down.pixels(within.clone()) {
+                    let line = y % TILE;
+                    if is_direct {
                         for (c, out) in out.chunks_exact_mut(stride).enumerate() {
-                            scale(&planes, (c, y % TILE), columns[0].first, out);
+                            scale(&planes, (c, line), columns[0].first, out);
+                        }
+                        continue;
+                    }
+                    if y >= held.end {
+                        held = y..(y + most).min(down.end()).min(within.end);
+                        interleave(&planes, line..line + held.len(), channels, &mut samples);
+                    }
+                    let samples = &samples[(y - held.start) * across.len() * TILE..];
+                    for (i, taps) in columns.iter().enumerate() {
+                        let sums = taps.sums(&samples[taps.first - across.start * TILE..]);
+                        for (c, sum) in sums.iter().enumerate().take(channels) {
+                            out[c * stride + i] += sum * (weight * SCALE);
                         }
                     }
-                });
-            } else {
-                // Rows that share cache lines of the tiles are computed together.
-                let rows = ((LINES as f64 / view.step[1]) as usize).clamp(1, LINES);
-                parallel::map_chunks(part, rows * length, |k, out| {
-                    let downs = &downs[some.start + k * rows..];
-                    resample(&planes, &columns, (downs, within.clone()), [channels, stride], out);
-                });
-            }
+                }
+            });
             planes.into_iter().flatten().for_each(|planes| self.recycle_planes(planes));
         }
         Additions { top: rows.start, stride, channels, values }
@@ -341,72 +346,26 @@ fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
     pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()
 }
 
-/// Adds what a row of tiles contributes to some rows of a view to `out`: `stride` samples of the first channel of a row,
-/// those of the other channels, then the next row. `columns` are the taps of the columns, counted from the first tile on,
-/// `downs` those of the rows, and `within` the rows of the picture that the tiles cover.
+/// Collects the additions to rows `lines` of a row of tiles, with the channels of a pixel next to each other. Channels
+/// that do not exist are 0.
 ///
-/// Columns are visited in groups that refer to about a tile, and each group for all rows, strip by strip. Strips lie in
-/// different pages, and the samples of adjacent rows of a strip in one cache line.
-fn resample(
-    tiles: &[Option<TilePlanes>],
-    columns: &[Taps],
-    (downs, within): (&[Taps], Range<usize>),
-    [channels, stride]: [usize; 2],
-    out: &mut [f32],
-) {
-    let mut samples = Vec::new();
-    let mut at = 0;
-    while let Some(first) = columns.get(at) {
-        // Columns of a view are in ascending order.
-        let count = columns[at..].partition_point(|taps| taps.end() <= first.first + TILE).max(1);
-        let group = &columns[at..at + count];
-        let (start, end) = (first.first / LANES * LANES, group[count - 1].end());
-        // Wide columns refer to many pixels of a row.
-        let most = (LINES * TILE / (end - start)).max(1);
-        for (out, down) in out.chunks_exact_mut(stride * channels).zip(downs) {
-            let lines = down.first.max(within.start)..down.end().min(within.end);
-            for first in lines.clone().step_by(most) {
-                let some = first..lines.end.min(first + most);
-                let length = interleave(tiles, start..end, [first % TILE, some.len()], channels, &mut samples);
-                for ((_, weight), samples) in down.pixels(some).zip(samples.chunks_exact(length)) {
-                    for (i, taps) in group.iter().enumerate() {
-                        let sums = taps.sums(&samples[taps.first - start..]);
-                        for (c, sum) in sums.iter().enumerate().take(channels) {
-                            out[c * stride + at + i] += sum * (weight * SCALE);
-                        }
-                    }
+/// Strips lie in different pages, and adjacent rows of a strip in one cache line, so the strips are read one by one.
+fn interleave(tiles: &[Option<TilePlanes>], lines: Range<usize>, channels: usize, samples: &mut Vec<[f32; 4]>) {
+    let width = tiles.len() * TILE;
+    samples.clear();
+    samples.resize(lines.len() * width, [0.0; 4]);
+    for x in (0..width).step_by(LANES) {
+        let Some(planes) = &tiles[x / TILE] else { continue };
+        for (i, line) in lines.clone().enumerate() {
+            let pixels = &mut samples[i * width + x..][..LANES];
+            for c in 0..channels.min(4) {
+                let values = planes.strip(c, [x % TILE, line], 1)[0];
+                for (pixel, value) in pixels.iter_mut().zip(values) {
+                    pixel[c] = value.into();
                 }
             }
         }
-        at += count;
     }
-}
-
-/// Collects the additions to some columns of a row of tiles in `count` rows from `line` on, with the channels of a pixel
-/// next to each other. The first column is that of a strip. Channels that do not exist are 0. Returns the number of
-/// pixels from row to row.
-fn interleave(
-    tiles: &[Option<TilePlanes>],
-    columns: Range<usize>,
-    [line, count]: [usize; 2],
-    channels: usize,
-    samples: &mut Vec<[f32; 4]>,
-) -> usize {
-    let length = columns.len().next_multiple_of(LANES);
-    samples.clear();
-    samples.resize(length * count, [0.0; 4]);
-    for (k, x) in columns.step_by(LANES).enumerate() {
-        let Some(planes) = &tiles[x / TILE] else { continue };
-        for (i, row) in samples.chunks_exact_mut(length).enumerate() {
-            let mut values = [[0; LANES]; 4];
-            for (c, values) in values.iter_mut().enumerate().take(channels) {
-                *values = planes.strip(c, [x % TILE, line + i], 1)[0];
-            }
-            let pixels: [[f32; 4]; LANES] = std::array::from_fn(|i| values.map(|channel| channel[i].into()));
-            row[k * LANES..][..LANES].copy_from_slice(&pixels);
-        }
-    }
-    length
 }
 
 /// Copies the additions of a row of tiles at their own size, scaled to parts of white: those of channel `c` in row

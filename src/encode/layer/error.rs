@@ -15,7 +15,6 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::gaussian::Channels;
 use crate::parallel;
 use crate::round::rounded::projected;
-use crate::simd::{self, LANES, Simd, Task};
 
 /// Values that a layer adds to the channels of a target, tile by tile. The target can have fewer channels than the
 /// layer.
@@ -62,11 +61,8 @@ impl Added {
             if self.of[k] >= planes.channels() {
                 continue;
             }
-            for (x, out) in part.chunks_mut(LANES).enumerate() {
-                let strip = planes.strip(self.of[k], [x * LANES, y % TILE], 1)[0];
-                for (out, v) in out.iter_mut().zip(strip) {
-                    *out = f32::from(v) * (UNIT / 255.0);
-                }
+            for (out, v) in part.iter_mut().zip(planes.row(self.of[k], [0, y % TILE])) {
+                *out = f32::from(v) * (UNIT / 255.0);
             }
         }
     }
@@ -105,53 +101,23 @@ pub(in crate::encode) fn squared_error(
 
 /// Returns the squared error of line `y`, of which the Gaussians render `drawn`.
 fn row_error(target: &Planes, y: usize, drawn: &[f32], added: &Added, counted: Counted) -> f64 {
-    let (width, stride) = (target.width as usize, target.stride);
+    let (count, alpha) = (target.channels.count(), target.opacity);
     let wanted = target.row(y as u32);
-    let (mut more, mut weights) = (vec![0.0; width], vec![0.0; width]);
+    let mut more = vec![0.0; target.width as usize];
     let mut error = 0.0;
     let amplitude = target.amplitude(y as u32).filter(|_| counted == Counted::AsTheyWeigh);
-    for k in 0..target.channels.count() {
-        weights.fill(if counted == Counted::AsTheyWeigh { target.channel_amplitude[k] } else { 1.0 });
-        let opacity = target.opacity.filter(|&a| a != k).map(|a| &wanted[a * stride..]);
-        for factors in [opacity, amplitude].into_iter().flatten() {
-            weights.iter_mut().zip(factors).for_each(|(weight, factor)| *weight *= factor);
-        }
+    for k in 0..count {
+        let channel = if counted == Counted::AsTheyWeigh { target.channel_amplitude[k] } else { 1.0 };
         added.row(y, k, &mut more);
-        let [drawn, wanted] = [drawn, wanted].map(|row| &row[k * stride..][..width]);
-        error += simd::dispatch(RowError { drawn, added: &more, wanted, weights: &weights });
+        for (x, more) in more.iter().enumerate() {
+            let at = k * target.stride + x;
+            let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
+            let value = (drawn[at].clamp(0.0, 1.0) + more).clamp(0.0, 1.0);
+            let weight = opacity * channel * amplitude.map_or(1.0, |a| a[x]);
+            error += f64::from((value - wanted[at]) * weight).powi(2);
+        }
     }
     error
-}
-
-/// Sums the weighted squared errors of a row of one channel.
-struct RowError<'a> {
-    drawn: &'a [f32],
-    added: &'a [f32],
-    wanted: &'a [f32],
-    weights: &'a [f32],
-}
-
-impl Task for RowError<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn run<S: Simd>(self, _: S) -> f64 {
-        let RowError { drawn, added, wanted, weights } = self;
-        // Eight partial sums, so that every instruction set adds in the same order.
-        let mut sums = [0f64; LANES];
-        let rows = drawn.chunks(LANES).zip(added.chunks(LANES)).zip(wanted.chunks(LANES).zip(weights.chunks(LANES)));
-        for ((drawn, added), (wanted, weights)) in rows {
-            let mut errors = [0f32; LANES];
-            for k in 0..drawn.len().min(LANES) {
-                let value = (drawn[k].clamp(0.0, 1.0) + added[k]).clamp(0.0, 1.0);
-                errors[k] = (value - wanted[k]) * weights[k];
-            }
-            for k in 0..LANES {
-                sums[k] += f64::from(errors[k]) * f64::from(errors[k]);
-            }
-        }
-        sums.iter().sum()
-    }
 }
 
 /// Returns the squared error of a stored picture over the samples of `planes`. `channels` are those of the file.
