@@ -25,7 +25,7 @@ use crate::round::rounded::projected;
 use crate::simd::{self, Simd, Task};
 use crate::strict_math::StrictMath;
 
-/// Height of the smallest bands, rows.
+/// Maximum height of the smallest bands, rows.
 const BAND: usize = 96;
 
 /// Width of the blocks of a band that are processed one after the other, pixels.
