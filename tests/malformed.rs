@@ -157,14 +157,17 @@ fn partial_reading_shows_the_intact_groups_and_counts_the_rest() {
     let mut seen = Outcomes::default();
     for (name, bytes) in sound() {
         let whole = read(&bytes[..], &tight()).unwrap();
-        for bit in 0..8 * bytes.len() {
+        // Reading a long file takes longest, so only one bit of each seven is flipped there: bits of all places in a byte.
+        for bit in (0..8 * bytes.len()).step_by(if bytes.len() < 1024 { 1 } else { 7 }) {
             let mut hurt = bytes.clone();
             hurt[bit / 8] ^= 1 << (bit % 8);
             seen.add(match read_partial(&hurt, &tight()) {
                 Ok((part, missing)) => {
                     let lost = whole.gaussians.len() - part.gaussians.len();
                     assert_eq!(missing.primitives as usize, lost, "{name} with bit {bit} flipped");
-                    assert!(part.gaussians.iter().all(|p| whole.gaussians.contains(p)));
+                    // The order is kept, so one pass over the whole finds them all.
+                    let mut rest = whole.gaussians.iter();
+                    assert!(part.gaussians.iter().all(|p| rest.any(|q| q == p)), "{name} with bit {bit} flipped");
                     if missing == MissingParts::default() { "whole" } else { "part" }
                 }
                 Err(e) => {

@@ -86,9 +86,9 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
 
 #[test]
 fn uncoded_layouts_are_written_in_tiles_and_fill_their_size() {
-    let pixels = picture(300, 200, Channels::Rgba);
+    let pixels = picture(200, 140, Channels::Rgba);
     for layout in [Layout::Packed, Layout::Planes] {
-        for (target, most) in [(Target::Bytes(1500), 1500), (Target::Ratio(20.0), 12_000)] {
+        for (target, most) in [(Target::Bytes(700), 700), (Target::Ratio(20.0), 5600)] {
             let mut of_tiles = options(target, Some(128));
             (of_tiles.layout, of_tiles.detail) = (layout, Detail::Off);
             let mut of_whole = of_tiles.clone();
@@ -461,13 +461,13 @@ fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn invalid_tasks_and_answers_are_refused_without_a_panic() {
-    let pixels = picture(200, 140, Channels::Grey);
+    let pixels = picture(200, 60, Channels::Grey);
     let options = options(Target::Bytes(300), Some(128));
     let mut workers = Elsewhere::new(1, &|_, answer| answer);
     encode_by(&pixels, &options, &mut workers).unwrap();
     // The tasks of one tile: separate fit, joint fit, weighting, sweeps and measurement.
     let tasks: Vec<&Vec<u8>> = workers.given.iter().filter(|task| task_core(task) == [0, 0]).collect();
-    let samples = 192 * 140;
+    let samples = 192 * 60;
     for task in tasks.iter().take(2).chain(&tasks[tasks.len() - 3..]) {
         let stopped = |task: &[u8]| {
             ssplat::work_on_tile(task, &mut |p| {
@@ -527,7 +527,7 @@ fn invalid_tasks_and_answers_are_refused_without_a_panic() {
 /// Replaces the numbers of a result by extreme floats: each field separately, in all primitives.
 #[test]
 fn answers_with_extreme_numbers_are_refused_or_give_a_file() {
-    let pixels = picture(200, 140, Channels::Grey);
+    let pixels = picture(200, 40, Channels::Grey);
     let options = options(Target::Bytes(300), Some(128));
     let (mut files, mut refused) = (0, 0);
     // `None` is the error; then the cost, and the nine numbers of a primitive of floats.
