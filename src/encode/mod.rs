@@ -167,7 +167,7 @@ fn encode_whole(
 /// [`EncodeOptions::tiles`] is not set.
 pub const MAX_WHOLE_PIXELS: u64 = 1 << 28;
 /// Maximum number of pixels that are fitted as a whole by default if tiles are possible. Tiles give the same quality in
-/// a fraction of the memory. A fit of a whole picture takes about 70 bytes per pixel.
+/// a fraction of the memory. A fit of a whole picture takes 40 to 50 bytes per pixel.
 const MAX_UNTILED_PIXELS: u64 = 1 << 25;
 /// Side of the tiles of these pictures, pixels.
 const DEFAULT_TILE_SIDE: u32 = 2048;

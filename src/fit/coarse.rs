@@ -41,8 +41,7 @@ use crate::strict_math::StrictMath;
 fn fitted(target: &Planes, count: usize, plan: &Plan, share: f32) -> Vec<Primitive> {
     let problem = problem(target);
     let Start { mut state, rng, .. } = scattered(target, count, plan);
-    let half = Reduced::new(&problem, 1);
-    let coarse = (share > 0.0).then_some(Coarse { reduced: &half, share });
+    let coarse = (share > 0.0).then(|| Coarse { reduced: Reduced::new(&problem, 1).into(), share });
     let part = Part { steps: 0..plan.iterations, coarse };
     run_part(&Job { problem, count, plan }, part, &mut state, rng, &mut Unwatched).unwrap();
     state.primitives

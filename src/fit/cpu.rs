@@ -6,7 +6,7 @@ use crate::fit::model::adam::{AdamMoments, Bounds, Rates};
 use crate::fit::model::drawing::field::{Output, float_error};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::objective::rows::RowSet;
-use crate::fit::model::placing::peaks::at_peak;
+use crate::fit::model::placing::peaks::{Scratch, at_peak};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::fit::state::{CLEARLY_WORSE, State};
@@ -84,6 +84,10 @@ impl Engine for State {
         // Errors with different numbers of primitives are not comparable.
         self.best.take_if(|(_, primitives)| primitives.len() != wanted);
         Ok(())
+    }
+
+    fn end_searches(&mut self) {
+        self.scratch = Scratch::default();
     }
 
     fn remember(&mut self, problem: &Problem<'_>) -> Result<()> {

@@ -32,6 +32,8 @@ pub(crate) trait Engine {
     fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, max_count: usize) -> Result<usize>;
     /// Changes the number of primitives to `wanted`: removes the cheapest ones, or adds new ones at peaks of the error.
     fn resize(&mut self, problem: &Problem<'_>, rows: RowSet, wanted: usize) -> Result<()>;
+    /// Releases the memory of [`relocate`](Engine::relocate) and [`resize`](Engine::resize), which are no longer called.
+    fn end_searches(&mut self) {}
     /// Saves the current state if its error over all rows is the smallest so far.
     fn remember(&mut self, problem: &Problem<'_>) -> Result<()>;
     /// Restores the best saved state if the current one is clearly worse.

@@ -69,8 +69,7 @@ pub(crate) fn run<E: Engine>(
         1 => half.filter(|half| step >= half.row_step).map(|half| (1, half.share)),
         by => Some((by.ilog2(), 1.0)),
     };
-    let reduced = seen.map(|(times, _)| Reduced::new(&job.problem, times));
-    let coarse = reduced.as_ref().zip(seen).map(|(reduced, (_, share))| Coarse { reduced, share });
+    let coarse = seen.map(|(times, share)| Coarse { reduced: Reduced::new(&job.problem, times).into(), share });
     run_part(job, Part { steps, coarse }, engine, rng, watcher)
 }
 
@@ -81,15 +80,15 @@ pub(super) fn grow<E: Engine>(job: &Job<'_>, engine: &mut E) -> Result<()> {
 }
 
 /// A range of iterations, the first of which may use a smaller picture.
-pub(super) struct Part<'a> {
+pub(super) struct Part {
     pub steps: Range<u32>,
-    pub coarse: Option<Coarse<'a>>,
+    pub coarse: Option<Coarse>,
 }
 
 /// Takes the steps of `part`.
 pub(super) fn run_part<E: Engine>(
     job: &Job<'_>,
-    part: Part<'_>,
+    part: Part,
     engine: &mut E,
     rng: Pcg64Mcg,
     watcher: &mut dyn Watcher,
@@ -100,9 +99,9 @@ pub(super) fn run_part<E: Engine>(
 /// A part of a fit in progress.
 struct Schedule<'a> {
     job: &'a Job<'a>,
-    part: Part<'a>,
+    steps: Range<u32>,
     /// The smaller picture, as long as the steps use it.
-    reduced: Option<&'a Reduced>,
+    coarse: Option<Coarse>,
     /// Set when the error at the smaller size is small enough. The fit must then continue at full size.
     is_near: bool,
     /// The distance of sampled rows at full size.
@@ -115,13 +114,13 @@ struct Schedule<'a> {
 }
 
 impl<'a> Schedule<'a> {
-    fn new(job: &'a Job<'a>, part: Part<'a>, rng: Pcg64Mcg, count: usize) -> Self {
-        let from = part.steps.start as f32 / job.plan.iterations as f32;
+    fn new(job: &'a Job<'a>, Part { steps, coarse }: Part, rng: Pcg64Mcg, count: usize) -> Self {
+        let from = steps.start as f32 / job.plan.iterations as f32;
         let passed = RECOUNT_AT.iter().take_while(|&&at| at < from).count();
         Schedule {
             job,
-            reduced: part.coarse.map(|c| c.reduced),
-            part,
+            steps,
+            coarse,
             is_near: false,
             row_step: job.problem.scene.row_step(count),
             rows: RowCycle::new(),
@@ -133,11 +132,11 @@ impl<'a> Schedule<'a> {
 
     fn run<E: Engine>(mut self, engine: &mut E, watcher: &mut dyn Watcher) -> Result<Ending> {
         let plan = self.job.plan;
-        if let Some(reduced) = self.reduced {
+        if let Some(Coarse { reduced, .. }) = &self.coarse {
             engine.zoom(&reduced.problem(), 1.0 / reduced.by as f32)?;
         }
-        let [from, to] = [self.part.steps.start, self.part.steps.end].map(|step| step as f32 / plan.iterations as f32);
-        for iteration in self.part.steps.clone() {
+        let [from, to] = [self.steps.start, self.steps.end].map(|step| step as f32 / plan.iterations as f32);
+        for iteration in self.steps.clone() {
             if engine.count() == 0 {
                 break;
             }
@@ -147,7 +146,7 @@ impl<'a> Schedule<'a> {
             if spent >= 1.0 {
                 break;
             }
-            let is_coarse = self.part.coarse.is_some_and(|c| done < c.share) && !self.is_near;
+            let is_coarse = self.coarse.as_ref().is_some_and(|c| done < c.share) && !self.is_near;
             if !is_coarse {
                 self.return_to_full_size(engine)?;
             }
@@ -160,7 +159,7 @@ impl<'a> Schedule<'a> {
         }
         self.return_to_full_size(engine)?;
         // Even the last step can increase the error. If it skipped rows, its result has not been checked yet.
-        let is_whole = self.part.steps.end == plan.iterations && engine.count() > 0;
+        let is_whole = self.steps.end == plan.iterations && engine.count() > 0;
         if is_whole && plan.rung >= Rung::Sampling && sampled_step(self.row_step, 1.0) > 1 {
             engine.remember(&self.job.problem)?;
         }
@@ -169,15 +168,15 @@ impl<'a> Schedule<'a> {
 
     /// Continues at full size, if the steps used a smaller picture.
     fn return_to_full_size<E: Engine>(&mut self, engine: &mut E) -> Result<()> {
-        match self.reduced.take() {
-            Some(reduced) => engine.zoom(&self.job.problem, reduced.by as f32),
+        match self.coarse.take() {
+            Some(Coarse { reduced, .. }) => engine.zoom(&self.job.problem, reduced.by as f32),
             None => Ok(()),
         }
     }
 
     /// Returns the problem that the steps work on, and the factor by which its picture is smaller.
-    fn current(&self) -> (Problem<'a>, u32) {
-        self.reduced.map_or((self.job.problem, 1), |reduced| (reduced.problem(), reduced.by))
+    fn current(&self) -> (Problem<'_>, u32) {
+        self.coarse.as_ref().map_or((self.job.problem, 1), |c| (c.reduced.problem(), c.reduced.by))
     }
 
     fn snapshot<'b, E>(&'b self, engine: &'b mut E) -> EngineSnapshot<'b, E> {
@@ -203,23 +202,22 @@ impl<'a> Schedule<'a> {
         let (plan, scene) = (self.job.plan, &self.job.problem.scene);
         let step = search_step(scene, self.row_step);
         let rows = self.current_rows(RowSet { step, phase: 0 });
-        let (problem, _) = self.current();
+        let can_relocate = plan.rung >= Rung::Relocation && done < relocation_end(plan.pace);
         if self.recounts.first().is_some_and(|&at| done >= at) {
             self.recounts = &self.recounts[1..];
             let wanted = watcher.recount(&self.snapshot(engine).primitives()?)?;
-            engine.resize(&problem, rows, wanted)?;
+            engine.resize(&self.current().0, rows, wanted)?;
             self.row_step = scene.row_step(engine.count());
-        } else if plan.rung >= Rung::Relocation
-            && iteration > 0
-            && iteration.is_multiple_of(plan.relocate_every)
-            && done < relocation_end(plan.pace)
-        {
+        } else if can_relocate && iteration > 0 && iteration.is_multiple_of(plan.relocate_every) {
             let share = match plan.pace {
                 Pace::Steady => plan.relocated_share,
                 Pace::Brisk => BRISK_RELOCATED_SHARE * (1.0 - done / BRISK_RELOCATION_END),
             };
             let max_count = ((engine.count() as f32 * share) as usize).max(1);
-            engine.relocate(&problem, rows, max_count)?;
+            engine.relocate(&self.current().0, rows, max_count)?;
+        }
+        if self.recounts.is_empty() && !can_relocate {
+            engine.end_searches();
         }
         Ok(())
     }
@@ -240,7 +238,7 @@ impl<'a> Schedule<'a> {
         let rates = Rates { decay, ..RATES };
         let rates = rates.scaled(plan.rate).scaled(plan.last_rate + (1.0 - plan.last_rate) * cosine);
         let each = if whole.scene.pixels() <= MAX_ALWAYS_CHECKED_PIXELS { 1 } else { CHECK_INTERVAL };
-        let is_due = done >= SAMPLED_UNTIL && self.reduced.is_none() && iteration.is_multiple_of(each);
+        let is_due = done >= SAMPLED_UNTIL && self.coarse.is_none() && iteration.is_multiple_of(each);
         if is_due && !(E::REMEMBERS_WHOLE_STEPS && sampled == RowSet::ALL) {
             engine.remember(whole)?;
         }
@@ -250,7 +248,7 @@ impl<'a> Schedule<'a> {
         if !error.is_some_and(|e| e <= plan.enough * problem.samples(sampled)) {
             return Ok(false);
         }
-        if self.reduced.is_some() {
+        if self.coarse.is_some() {
             self.is_near = true;
             return Ok(false);
         }

@@ -1,5 +1,7 @@
 //! A downscaled picture for the first steps of a fit.
 
+use std::rc::Rc;
+
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 
@@ -28,9 +30,9 @@ impl Reduced {
 }
 
 /// The part of a fit that uses a downscaled picture.
-#[derive(Clone, Copy)]
-pub(crate) struct Coarse<'a> {
-    pub reduced: &'a Reduced,
+pub(crate) struct Coarse {
+    /// Its memory is released when the last fit that uses it continues at full size.
+    pub reduced: Rc<Reduced>,
     /// The fraction of all iterations that use it, counted from the first.
     pub share: f32,
 }
