@@ -1,5 +1,5 @@
 // Tests a page that was built from web/examples: it shows the file, with a worker if the policy allows one.
-const patience = 15_000
+const patience = 60_000
 const until = async what => {
   for (let i = 0; i < patience / 50; i++) {
     if (what()) return true

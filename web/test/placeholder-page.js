@@ -1,5 +1,5 @@
 // Tests a page that imports pictures: it shows placeholders until the files have arrived, then the pictures.
-const patience = 20_000
+const patience = 60_000
 const until = async what => {
   for (let i = 0; i < patience / 50; i++) {
     if (what()) return true

@@ -105,7 +105,7 @@ export async function test({ home, vite, program, installed }) {
     assert(Buffer.compare(native(["--effort", "1"]), before) == 0, "the server serves other bytes than the program's")
     cpSync(join(home, "grey.png"), join(home, "rgb.png"))
     let after
-    for (let i = 0; i < 100 && !(after && Buffer.compare(before, after)); i++) {
+    for (let i = 0; i < 600 && !(after && Buffer.compare(before, after)); i++) {
       await new Promise(r => setTimeout(r, 100))
       after = await ask("/rgb.png?import&ssplat")
     }
