@@ -157,7 +157,7 @@ fn partial_reading_shows_the_intact_groups_and_counts_the_rest() {
     let mut seen = Outcomes::default();
     for (name, bytes) in sound() {
         let whole = read(&bytes[..], &tight()).unwrap();
-        // Reading a long file takes longest, so only one bit of each seven is flipped there: bits of all places in a byte.
+        // Long files take most of the time, so only every seventh bit of them is flipped, at all positions in a byte.
         for bit in (0..8 * bytes.len()).step_by(if bytes.len() < 1024 { 1 } else { 7 }) {
             let mut hurt = bytes.clone();
             hurt[bit / 8] ^= 1 << (bit % 8);
