@@ -31,7 +31,8 @@ fn forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
         // The error of the whole picture is not weighted.
         var a = vec4f(1.0);
         if (scene.mode == GRADIENT) { a = amplitude(x, y) * scene.channel_amplitude; }
-        let e = (clamp(value, vec4f(0.0), vec4f(1.0)) - wanted) * (importance_of_channels(wanted) * a);
+        a *= importance_of_channels(wanted);
+        let e = (clamp(value, vec4f(0.0), vec4f(1.0)) - wanted) * a;
         error = dot(e, e);
         let at = row * scene.width + x;
         if (scene.mode == GRADIENT) {

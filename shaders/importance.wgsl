@@ -9,7 +9,6 @@ fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     if (status[1] != 0u || pair >= starts[scene.tiles_x * scene.tiles_y]) { return; }
     let splat = splats[sorted[pair]];
     let area = area_of(tile_of(pair));
-    let used = select(vec4f(0.0), scene.channel_amplitude, vec4u(0u, 1u, 2u, 3u) < vec4u(scene.channels));
     var cost = 0.0;
     for (var row = area.z; row < area.w; row++) {
         let y = sampled_row(scene.band_first + row);
@@ -24,6 +23,7 @@ fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
                 let at = row * scene.width + x;
                 let w = max(exp2(-q) - CUTOFF_WEIGHT, 0.0);
                 var share = w;
+                let used = importance_of_channels(source_pixel(x, y)) * scene.channel_amplitude;
                 var distance = splat.color * used;
                 if (scene.blend == 0u) {
                     share = min(w / (max(tails[at] - w, 0.0) + 0.02), 20.0);

@@ -13,12 +13,13 @@ fn amplitude(x: u32, y: u32) -> f32 {
     return bitcast<f32>(source[((y - scene.source_first) * scene.width + x + 1u) * scene.source_words - 1u]);
 }
 
-// Returns 1 for used channels, times the opacity if there is one; 0 for unused ones.
+// Returns the factor of the error in each channel before it is squared, without that of the tuning: the square root of
+// the opacity, or 0 for unused channels.
 fn importance_of_channels(wanted: vec4f) -> vec4f {
     var opacity = 1.0;
     if (scene.alpha == 1u) { opacity = wanted.y; }
     if (scene.alpha == 3u) { opacity = wanted.w; }
-    var share = vec4f(opacity);
+    var share = vec4f(sqrt(opacity));
     if (scene.alpha == 1u) { share.y = 1.0; }
     if (scene.alpha == 3u) { share.w = 1.0; }
     return select(vec4f(0.0), share, vec4u(0u, 1u, 2u, 3u) < vec4u(scene.channels));

@@ -263,6 +263,10 @@ mod strict_math;
 mod target;
 #[cfg(any(test, feature = "unstable"))]
 pub mod unstable;
+#[cfg(feature = "encode")]
+mod used_range;
+#[cfg(feature = "encode")]
+mod weighting;
 
 pub use bitstream::MissingParts;
 pub use bitstream::splats::{Layout, Metadata};

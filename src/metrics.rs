@@ -28,6 +28,7 @@ use crate::parallel;
 use crate::parameter::Parameter;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
+use crate::weighting::opacity;
 
 /// Grey backgrounds for pictures with alpha, as sRGB values. SSIMULACRA2 uses the same.
 pub const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
@@ -112,13 +113,12 @@ fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
     };
     let most = u64::from(a.depth().max());
     // At most 4·2³²·2¹⁶.
-    fn pixel<T: Copy + Into<u64>>(p: &[T], q: &[T], alpha: usize, most: u64) -> u64 {
-        let weight = |k: usize| if k == alpha { most } else { p[alpha].into() };
-        (0..p.len()).map(|k| square(p[k], q[k]) * weight(k)).sum()
+    fn pixel<T: Copy + Into<u64>>(p: &[T], q: &[T], alpha: usize, white: T) -> u64 {
+        (0..p.len()).map(|k| square(p[k], q[k]) * opacity(p, k, Some(alpha), white).into()).sum()
     }
     let sum = match (a.samples(), b.samples()) {
-        (Samples::U8(a), Samples::U8(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, most)),
-        (Samples::U16(a), Samples::U16(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, most)),
+        (Samples::U8(a), Samples::U8(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, u8::MAX)),
+        (Samples::U16(a), Samples::U16(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, u16::MAX)),
         _ => unreachable!("check_alike compared the depths"),
     };
     sum / most as f64

@@ -7,6 +7,7 @@
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::{self, MAX_COLOR};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
+use crate::encode::drawn::check_opens;
 use crate::encode::{self, EncodeReport, Encoded, smallest};
 use crate::error::{Error, Result};
 use crate::gaussian::{Gaussian, Gaussians};
@@ -47,6 +48,7 @@ pub(crate) fn encode_gaussians(given: &Gaussians, options: &EncodeOptions) -> Re
     encode::check(options)?;
     check_applies(given, options)?;
     let (splats, bytes) = pack(given, options)?;
+    check_opens(&splats)?;
     let report = EncodeReport {
         primitives: splats.gaussians.len(),
         psnr: f64::NAN,

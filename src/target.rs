@@ -21,7 +21,7 @@ pub enum Target {
     /// Number of primitives.
     #[doc(alias("gaussians", "splats"))]
     Primitives(u32),
-    /// PSNR against the source in dB, above 0. The result is the smallest file found that reaches it. Encoding fails
+    /// PSNR against the source in dB, above 0, where errors of colours are weighted by the alpha of the source. The result is the smallest file found that reaches it. Encoding fails
     /// with [`Error::Parameter`](crate::Error::Parameter) if even a file of twice the raw size does not reach it. With
     /// a time limit, the result is the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr)
     /// has its PSNR.
@@ -30,6 +30,10 @@ pub enum Target {
     /// 90 mean low, medium, high and very high quality. Encoding takes up to six tries, most of which start from the
     /// Gaussians of the previous one. If none meets the score, the result is the best file found, and
     /// [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
+    ///
+    /// SSIMULACRA2 needs pictures of some size and visible contrasts. A picture with a side below 64 pixels is
+    /// therefore extended by reflections before it is measured, and so is the decoded one. If a picture of 16 bits uses
+    /// less than an eighth of the range of its samples, that part is stretched to the whole range in both.
     #[cfg(feature = "quality-hook")]
     #[doc(alias("ssimulacra2", "perceptual"))]
     Quality(f64),

@@ -20,7 +20,7 @@ fn quick(wanted: f64) -> EncodeOptions {
 
 fn measured(pixels: &Pixels, encoded: &Encoded) -> f64 {
     let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
-    metrics::ssimulacra2(pixels, &decoded).unwrap().unwrap()
+    metrics::ssimulacra2(pixels, &decoded).unwrap()
 }
 
 #[test]

@@ -38,8 +38,8 @@ function guarded({ memory }, { width, height, alloc }, most, work) {
   }
 }
 
-// Computes the SSIMULACRA2 score of the samples `test` against `data`: `job` is { width, height, channels, depth, data, test, alloc }. NaN
-// if a side has fewer than 8 pixels.
+// Computes the SSIMULACRA2 score of the samples `test` against `data`: `job` is { width, height, channels, depth, data, test, alloc }.
+// Pictures with a side below 64 pixels are mirrored before they are measured.
 export function score(module, job, most = job.alloc) {
   const instance = start(module, job, most)
   return guarded(instance, job, most, () => {

@@ -78,7 +78,7 @@ export function encode(pixels: EncodePixels, options?: EncodeOptions): Promise<{
 
 /**
  * Computes the SSIMULACRA2 score of `test` against `reference`, two pictures of the same size, channels and depth: at most 100, for
- * identical pictures; 90 very high, 70 high, 50 medium, 30 low quality. NaN if a side has fewer than 8 pixels.
+ * identical pictures; 90 very high, 70 high, 50 medium, 30 low quality. Pictures with a side below 64 pixels are mirrored.
  */
 export function ssimulacra2(reference: EncodePixels, test: EncodePixels, options?: Pick<EncodeOptions, "limits" | "worker" | "scoreModule" | "signal">): Promise<number>
 

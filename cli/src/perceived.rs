@@ -16,7 +16,7 @@ const MAX_PIXELS: u64 = 1 << 24;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Perceived {
     /// 100 for equal pictures; about 90, 70, 50 and 30 for very high, high, medium and low quality; may be negative.
-    /// `None` if a side is under 8 pixels.
+    /// Small pictures are mirrored before they are measured.
     pub ssimulacra2: Option<f64>,
     /// 0 for equal pictures; lower is better. `None` if a side is under 8 pixels, or for more than 2²⁴ pixels.
     pub butteraugli: Option<f64>,
@@ -25,8 +25,9 @@ pub struct Perceived {
 /// Measures two pictures with the same size, channels and depth.
 pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
     let (width, height) = (reference.width(), reference.height());
+    let ssimulacra2 = metrics::ssimulacra2(reference, test).ok();
     if width.min(height) < MIN_SIDE {
-        return Perceived::default();
+        return Perceived { ssimulacra2, butteraugli: None };
     }
     let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
     let found = backgrounds.iter().map(|&background| {
@@ -38,7 +39,7 @@ pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
     });
     // The worse value counts; there is none if one is missing.
     let butteraugli = found.reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
-    Perceived { ssimulacra2: metrics::ssimulacra2(reference, test).ok().flatten(), butteraugli }
+    Perceived { ssimulacra2, butteraugli }
 }
 
 fn distance(a: &[RGB<f32>], b: &[RGB<f32>], [width, height]: [u32; 2]) -> Option<f64> {

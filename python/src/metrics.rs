@@ -31,14 +31,14 @@ pub fn psnr<'py>(
     work::run(py, work::threads(threads, usize::MAX)?, &work::Calls::default(), move |_| metrics::psnr(&a, &b))
 }
 
-/// SSIMULACRA2; `None` where a side is too short for it.
+/// SSIMULACRA2.
 #[pyfunction]
 pub fn ssimulacra2<'py>(
     py: Python<'py>,
     a: &Bound<'py, PyAny>,
     b: &Bound<'py, PyAny>,
     threads: Option<i128>,
-) -> PyResult<Option<f64>> {
+) -> PyResult<f64> {
     let (a, b) = (array::pixels("a", a)?, array::pixels("b", b)?);
     work::run(py, work::threads(threads, usize::MAX)?, &work::Calls::default(), move |_| metrics::ssimulacra2(&a, &b))
 }

@@ -14,6 +14,17 @@ pub const DETAIL: [u8; 4] = *b"Dtal";
 /// Maximum number of sections in a file.
 pub const MAX_SECTIONS: usize = 64;
 
+/// Bytes of the number of sections, of which a file has at most [`MAX_SECTIONS`].
+pub(crate) const SECTION_COUNT_BYTES: u64 = 1;
+
+/// Returns the bytes that a section with `length` bytes of contents takes in a file: name, length, checksum and
+/// contents.
+pub(crate) fn section_bytes(length: u64) -> u64 {
+    let mut varint = Vec::new();
+    put_varint(length, &mut varint);
+    4 + varint.len() as u64 + 4 + length
+}
+
 /// Contents of a file's sections.
 #[derive(Debug, Default)]
 pub(crate) struct SectionsRead {

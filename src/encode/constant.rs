@@ -1,7 +1,10 @@
-//! Encodes pictures of one colour, which need no fit.
+//! Integers of one colour: for pictures that have only one, and for those whose contrasts are finer than the steps of the
+//! colours of Gaussians.
 
+use super::input::may_leave_out;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
-use crate::gaussian::{CUTOFF_WEIGHT, EPSILON};
+use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
+use crate::options::{EncodeOptions, Recipe};
 use crate::pixels::{Pixels, Samples};
 
 /// Returns whether all pixels of `pixels` are equal.
@@ -13,6 +16,11 @@ pub(super) fn is_constant(pixels: &Pixels) -> bool {
         Samples::U8(v) => same(v, pixels.channels().count()),
         Samples::U16(v) => same(v, pixels.channels().count()),
     }
+}
+
+/// Returns whether the options allow such integers.
+pub(super) fn is_possible(options: &EncodeOptions, blend: Blend) -> bool {
+    may_leave_out(options) && blend == Blend::Normalized && options.recipe == Recipe::Ssplat
 }
 
 /// Sets the steps, the background and the primitives of `splats` such that every pixel has the colour `color`, with an

@@ -3,6 +3,7 @@
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::parameter::Limit;
 use crate::pixels::{Depth, Pixels};
 use crate::raster::View;
 use crate::rect::Rect;
@@ -10,6 +11,18 @@ use crate::rect::Rect;
 /// Returns limits for the encoder's own integers, whose work need not be limited.
 pub(super) fn own_limits() -> Limits {
     Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, primitives: u64::MAX, ..Limits::default() }
+}
+
+/// Checks that decoders with default limits open the file of `splats` and render the whole picture, without rendering
+/// it.
+///
+/// # Errors
+/// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if they would refuse it.
+pub(crate) fn check_opens(splats: &PackedSplats) -> Result<()> {
+    let limits = Limits::default();
+    let metadata = splats.metadata.sections().map(|(_, contents)| contents.len() as u64).sum();
+    Limits::check(Limit::Metadata, metadata, limits.metadata)?;
+    splats.renderer(&View::of_size(splats.width, splats.height), &limits).map(drop)
 }
 
 /// Renders the picture within `view`.

@@ -56,16 +56,14 @@ pub(super) fn widened_file(splats: &PackedSplats, channels: Channels) -> Result<
     }
 }
 
-/// Returns the integers of a picture of `size` pixels, without primitives.
+/// Returns the integers of a picture of `size` pixels, without primitives and metadata. The metadata are added to the
+/// finished picture, so that they cannot affect it.
 pub(super) fn empty(
     [width, height]: [u32; 2],
     (channels, depth): (Channels, Depth),
     blend: Blend,
     options: &EncodeOptions,
 ) -> PackedSplats {
-    let mut metadata = Metadata::default();
-    metadata.icc.clone_from(&options.icc);
-    metadata.exif.clone_from(&options.exif);
     PackedSplats {
         width,
         height,
@@ -79,7 +77,7 @@ pub(super) fn empty(
         gaussians: Vec::new(),
         levels: Vec::new(),
         detail: None,
-        metadata,
+        metadata: Metadata::default(),
     }
 }
 

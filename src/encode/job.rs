@@ -1,6 +1,7 @@
 //! Runs a single fit of a whole picture and rounds the result to a file.
 
 use super::file;
+use super::input::widened_file;
 use super::report::Stage;
 use super::session::{FitRequest, Outcome, UnderLayer};
 use super::skipped::SkipReason;
@@ -15,6 +16,7 @@ use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::objective::{masking, structure};
 use crate::fit::model::problem::Problem;
 use crate::fit::plan::{Plan, fraction};
+use crate::gaussian::Channels;
 use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
@@ -48,10 +50,10 @@ impl WholeSession<'_> {
         }
     }
 
-    /// Fits about `count` primitives and rounds them to a file of `size`, which is that of `request` or smaller, to
-    /// leave room for channels that are left out. Both exclude these channels.
-    pub(super) fn fitted(&mut self, count: usize, size: Size, request: &FitRequest) -> Result<Outcome> {
-        let &FitRequest { time, under_layer, ref initial, .. } = request;
+    /// Fits about `count` primitives and rounds them to a file of the requested size, in which the channels that were
+    /// left out are restored.
+    pub(super) fn fitted(&mut self, count: usize, request: &FitRequest) -> Result<Outcome> {
+        let &FitRequest { size, time, under_layer, ref initial } = request;
         self.weigh(count);
         let (input, planes) = (self.input, &self.planes);
         let options = input.options;
@@ -103,7 +105,8 @@ impl WholeSession<'_> {
 
         let clock = self.report.seconds();
         let stage = Stage { name: "finish", report: &mut self.report, input, planes };
-        let mut writer = FileWriter { stage, splats: self.blank.clone(), levels: options.levels };
+        let (splats, channels) = (self.blank.clone(), input.channels());
+        let mut writer = FileWriter { stage, splats, channels, levels: options.levels };
         // Under a detail layer, the bytes of the Gaussians are not limited: the layer uses the bytes that remain.
         let size = if under_layer.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
@@ -163,12 +166,7 @@ impl FitWatcher<'_, '_> {
         self.draft.gaussians.clear();
         let fixed = bitstream::to_bytes(&self.draft)?.len() as f64;
         let each = ((all - fixed) / primitives.len().max(1) as f64).max(MIN_PRICE);
-        // Metadata takes the same number of bytes whatever the number of primitives.
-        let metadata = &self.draft.metadata;
-        let carried =
-            [&metadata.icc, &metadata.exif].map(|block| block.as_ref().map_or(0, Vec::len)).iter().sum::<usize>();
-        let (max_bytes, fixed) = (max_bytes.saturating_sub(carried as u64) as f64, (fixed - carried as f64).max(0.0));
-        Ok(((max_bytes * excess(primitives.len()) - fixed) / each).max(0.0) as usize)
+        Ok(((max_bytes as f64 * excess(primitives.len()) - fixed) / each).max(0.0) as usize)
     }
 }
 
@@ -187,7 +185,10 @@ pub(super) fn excess(primitives: usize) -> f64 {
 /// Writes the file for which the primitives are rounded.
 struct FileWriter<'a, 'b> {
     stage: Stage<'a, 'b>,
+    /// The integers, without the channels that were left out.
     splats: PackedSplats,
+    /// The channels of the file.
+    channels: Channels,
     levels: u8,
 }
 
@@ -208,7 +209,11 @@ impl Client for FileWriter<'_, '_> {
 impl FileWriter<'_, '_> {
     /// Writes the file and sorts the primitives into its order.
     fn write(&mut self, rounded: &mut Rounded) -> Result<Vec<u8>> {
-        self.with(rounded, file::smallest)
+        let channels = self.channels;
+        self.with(rounded, |splats, levels| match file::smallest(splats, levels) {
+            Ok(_) if splats.channels != channels => widened_file(splats, channels),
+            bytes => bytes,
+        })
     }
 
     /// Calls `look` with the integers of the file and its number of levels.

@@ -7,7 +7,7 @@ mod channels;
 mod clock;
 mod constant;
 mod device;
-mod drawn;
+pub(crate) mod drawn;
 mod encoder;
 mod file;
 mod hidden;
@@ -36,9 +36,10 @@ use std::ops::ControlFlow;
 
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
+use crate::limits::Limits;
 use crate::options::{Detail, EncodeOptions};
 use crate::parallel;
-use crate::parameter::Parameter;
+use crate::parameter::{Limit, Parameter};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::rect::Rect;
@@ -79,11 +80,13 @@ pub struct EncodeReport {
     /// if the Gaussians were given.
     pub effort: u8,
     /// PSNR of the stored picture against the source in dB, before rounding to code values. It is infinite if they are
-    /// equal.
+    /// equal. Errors of colours are weighted by the alpha of the source, even if hidden colours are kept.
     pub psnr: f64,
     /// PSNR of the picture before quantization, in dB.
     pub float_psnr: f64,
-    /// SSIMULACRA2 score of the decoded file against the source; `None` unless the target was `Target::Quality`.
+    /// SSIMULACRA2 score of the decoded file against the source; `None` unless the target was `Target::Quality`. Pictures
+    /// with a side below 64 pixels are mirrored before they are measured, and samples of 16 bits that use less than an
+    /// eighth of their range are stretched, as described at `Target::Quality`.
     pub quality: Option<f64>,
     /// Wall-clock seconds of the encode, excluding tracing.
     pub seconds: f64,
@@ -184,9 +187,11 @@ fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     options.tiles.or_else(|| by_default().then_some(DEFAULT_TILE_SIDE)).filter(|&side| width > side || height > side)
 }
 
-/// Checks that every option is within its range.
+/// Checks that every option is within its range, and that decoders with default limits read the metadata.
 pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |parameter, problem| Err(Error::Parameter { parameter, problem });
+    let blocks = [&options.icc, &options.exif].into_iter().flatten().map(|block| block.len() as u64).sum::<u64>();
+    Limits::check(Limit::Metadata, blocks, Limits::default().metadata)?;
     if !(1..=9).contains(&options.effort) {
         return bad(Parameter::Effort, format!("{} is outside 1..=9", options.effort));
     }

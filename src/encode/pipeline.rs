@@ -1,5 +1,6 @@
 //! From a session to the file and its report.
 
+use super::drawn::check_opens;
 use super::session::{EncodeSession, Outcome, decibels};
 use super::skipped::SkipReason;
 use super::{EncodeReport, Encoded, rate_control};
@@ -8,11 +9,17 @@ use crate::error::Result;
 
 /// Encodes as the options request, and reports the result.
 pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
-    let outcome = rate_control::to_target(&mut session)?;
+    let mut outcome = rate_control::to_target(&mut session)?;
+    let (icc, exif) = (session.options().icc.clone(), session.options().exif.clone());
+    if icc.is_some() || exif.is_some() {
+        (outcome.splats.metadata.icc, outcome.splats.metadata.exif) = (icc, exif);
+        outcome.bytes = session.file(&outcome.splats)?;
+    }
     // Only what the written file leaves out counts, not what discarded tries of a search left out.
     if outcome.pruned_bytes > 0 {
         session.report().note(SkipReason::Primitives, outcome.pruned_bytes, 0.0);
     }
+    check_opens(&session.widened(&outcome.splats))?;
     note_codebook(&mut session, &outcome)?;
     let error = session.error(&outcome.splats)?;
     session.trace_end(&outcome.splats, error)?;

@@ -1,5 +1,7 @@
 //! Removes the primitives that a file does not need, after the fit.
 
+use std::cell::Cell;
+
 use super::file;
 use super::input::stored_scene;
 use super::session::{EncodeSession, Outcome};
@@ -9,7 +11,7 @@ use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::removal;
-use crate::fit::model::problem::Problem;
+use crate::fit::model::problem::{Problem, overlap};
 use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
@@ -33,6 +35,12 @@ impl WholeSession<'_> {
     }
 }
 
+/// Maximum number of pictures that are rendered, times the primitives that cover a pixel of them in the mean. For
+/// photographs it is never reached. A gradient has many wide primitives, each of which takes long to render.
+const MAX_RENDERED: f32 = 3000.0;
+/// Number of pictures that may always be rendered.
+const MIN_RENDERED: usize = 24;
+
 /// Up to this number, each primitive is also tried individually, because the predicted costs of removal are not exact.
 const MAX_SINGLY_TRIED: usize = 64;
 
@@ -50,6 +58,10 @@ fn pruned(
         return None;
     }
     let quantizer = splats.quantizer();
+    let floats: Vec<_> = splats.gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
+    let overlap = overlap(&problem.scene, &floats).max(1.0);
+    let (rendered, most) = (Cell::new(0), MIN_RENDERED.max((MAX_RENDERED / overlap) as usize));
+    let is_over = || is_over() || rendered.get() >= most;
     let project = |gaussians: &[PackedGaussian]| projected(&quantizer, gaussians, problem.scene.height);
     let mut field = Field::default();
     let mut best = splats.gaussians.clone();
@@ -63,6 +75,7 @@ fn pruned(
             Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &[], lambda);
         }
         let drawn = project(&trial);
+        rendered.set(rendered.get() + 1);
         if field.draw(problem, &drawn, RowSet::ALL, Output::Picture) > max_error {
             break;
         }
@@ -78,6 +91,7 @@ fn pruned(
         while over - sure > 1 && !is_over() {
             let middle = (sure + over) / 2;
             let rest = project(&without(middle));
+            rendered.set(rendered.get() + 1);
             match field.draw(problem, &rest, RowSet::ALL, Output::Picture) <= max_error {
                 true => sure = middle,
                 false => over = middle,
@@ -96,7 +110,8 @@ fn pruned(
         let mut error =
             |gaussians: &[PackedGaussian]| field.draw(problem, &project(gaussians), RowSet::ALL, Output::Picture);
         let mut i = if error(&best) <= max_error { 0 } else { best.len() };
-        while i < best.len() {
+        while i < best.len() && !is_over() {
+            rendered.set(rendered.get() + 1);
             let mut without = best.clone();
             without.remove(i);
             if error(&without) <= max_error { best = without } else { i += 1 }

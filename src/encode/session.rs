@@ -119,10 +119,12 @@ pub(super) trait EncodeSession<'a> {
     /// Encodes to a file of about `count` primitives.
     fn at_count(&mut self, count: usize) -> Result<Outcome>;
 
-    /// Returns the squared error of the stored picture over the fitted samples.
+    /// Returns the squared error of the stored picture over the fitted samples, weighted as
+    /// [`metrics::psnr`](crate::metrics::psnr) does.
     fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64>;
 
-    /// Returns the squared error of the stored picture over the samples of all channels.
+    /// Returns the squared error of the stored picture over the samples of all channels, weighted as
+    /// [`metrics::psnr`](crate::metrics::psnr) does.
     fn error(&mut self, splats: &PackedSplats) -> Result<f64>;
 
     /// Returns the SSIMULACRA2 score of the stored picture, with the channels that were left out restored.

@@ -32,6 +32,12 @@ pub enum SkipReason {
     StructureWeights,
     /// The fit, because the picture has only one colour.
     Fit,
+    /// Gaussians, because the contrasts of the picture are finer than the steps of their colours. It is one colour with a
+    /// detail layer instead.
+    Contrasts {
+        /// Number of sample values between the smallest and the largest of the picture.
+        levels: u32,
+    },
     /// The last iterations, because the error was already small enough.
     Iterations,
     /// Primitives, because the error stays small enough without them.
@@ -54,6 +60,13 @@ impl fmt::Display for SkipReason {
             SkipReason::HiddenColors => "colours under alpha 0: they are invisible",
             SkipReason::StructureWeights => "weights of pixels: the picture is so uniform that all weights are equal",
             SkipReason::Fit => "the fit: the picture has a single colour",
+            SkipReason::Contrasts { levels } => {
+                return write!(
+                    f,
+                    "Gaussians: the samples use {levels} of 65536 values, and the steps of a detail layer, 4 and more, are \
+                     finer than those of Gaussians; decoders may differ by up to 257 values"
+                );
+            }
             SkipReason::Iterations => "iterations: the error is below the rounding error, or well below the target",
             SkipReason::Primitives => {
                 "primitives: without them, the error stays below the rounding error or the target"

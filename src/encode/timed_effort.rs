@@ -10,7 +10,7 @@ use std::time::Duration;
 use super::layer::divide::is_search;
 use super::layer::division::has_layer;
 use super::layer::texture::Texture;
-use super::rate_control::size_asked;
+use super::rate_control::picture_size;
 use crate::gaussian::Channels;
 use crate::options::EncodeOptions;
 use crate::parallel;
@@ -57,7 +57,7 @@ pub(super) fn affordable(
     let Some(time) = options.time else { return options.effort };
     let pixels = u64::from(width) * u64::from(height);
     let samples = pixels as f64 * channels.count() as f64;
-    let (has_layer, ratio) = match size_asked(options, samples, 0) {
+    let (has_layer, ratio) = match picture_size(options, samples, 0) {
         Size::Bytes(bytes) => (has_layer(options, pixels, samples, bytes, texture), samples / bytes.max(1) as f64),
         // A search tries files of many sizes.
         Size::Free => (is_search(options.target), MEASURED_RATIO),

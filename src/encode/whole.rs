@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::channels::{Narrow, narrow};
 use super::clock::Clock;
-use super::constant::{constant, is_constant};
+use super::constant::{self, constant, is_constant};
 use super::device::Choice;
 use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
@@ -24,10 +24,11 @@ use crate::fit::engine::StaticSnapshot;
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::Problem;
 use crate::gaussian::Channels;
-use crate::options::{EncodeOptions, Needs};
+use crate::options::{Detail, EncodeOptions, Needs};
 use crate::pixels::Pixels;
 use crate::round::rounded::projected;
 use crate::round::size::Size;
+use crate::used_range::UsedRange;
 
 /// An encode of a whole picture in progress.
 pub(super) struct WholeSession<'a> {
@@ -43,6 +44,8 @@ pub(super) struct WholeSession<'a> {
     pub kept: Option<KeptBase>,
     /// The best factor on the byte budget of these Gaussians, once several were tried.
     pub base_factor: Option<f64>,
+    /// The range of the samples, if it is so narrow that the picture is one colour with a detail layer.
+    pub range: Option<UsedRange>,
     /// The texture of the picture, once it is measured.
     pub texture: OnceCell<Option<Texture>>,
     pub report: ReportBuilder<'a>,
@@ -69,6 +72,11 @@ pub(super) fn encode(
         report.note(narrow.removed.clone(), 0, 0.0);
     }
     let input = EncodeInput { original, pixels: fitted, options, iterations };
+    let may_be_flat = constant::is_possible(options, input.blend()) && fitted.channels().alpha().is_none();
+    let range = if may_be_flat && options.detail != Detail::Off { UsedRange::narrow(fitted) } else { None };
+    if let Some(range) = range {
+        report.note(SkipReason::Contrasts { levels: range.levels() }, 0, 0.0);
+    }
     run(WholeSession {
         input,
         blank: input.empty(),
@@ -76,6 +84,7 @@ pub(super) fn encode(
         clock,
         kept: None,
         base_factor: None,
+        range,
         texture: OnceCell::new(),
         device,
         report,
@@ -111,9 +120,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
         if !is_constant(self.input.pixels) {
             return Ok(None);
         }
-        let mut splats = self.blank.clone();
-        constant(&mut splats, self.planes.mean);
-        Ok(Some(splats))
+        Ok(Some(self.flat()))
     }
 
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
@@ -125,15 +132,14 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
     }
 
     fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
-        Ok(self.error_of(splats))
+        Ok(stored_error(splats, &self.planes.as_shown(), self.channels()))
     }
 
     fn error(&mut self, splats: &PackedSplats) -> Result<f64> {
         if self.fits_all_channels() {
-            return Ok(self.error_of(splats));
+            return self.fitted_error(splats);
         }
-        let planes = Planes::with_hidden(self.input.original, self.input.options.hidden);
-        Ok(stored_error(&self.widened(splats), &planes, self.channels()))
+        Ok(stored_error(&self.widened(splats), &Planes::new(self.input.original), self.channels()))
     }
 
     #[cfg(feature = "quality-hook")]
@@ -169,9 +175,16 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
 }
 
 impl WholeSession<'_> {
-    /// Returns the squared error of the stored picture over the fitted samples.
+    /// Returns the squared error of the stored picture over the fitted samples. Hidden colours count if they are kept.
     pub(super) fn error_of(&self, splats: &PackedSplats) -> f64 {
         stored_error(splats, &self.planes, self.input.channels())
+    }
+
+    /// Returns the integers of the mean colour.
+    pub(super) fn flat(&self) -> PackedSplats {
+        let mut splats = self.blank.clone();
+        constant(&mut splats, self.planes.mean);
+        splats
     }
 
     /// Encodes to a file of the requested size without a detail layer.
@@ -183,44 +196,32 @@ impl WholeSession<'_> {
         self.without_layer(count, request)
     }
 
-    /// Encodes to a file of the requested size, starting with about `count` primitives. Restores the channels that were
-    /// left out.
+    /// Encodes to a file of the requested size, starting with about `count` primitives.
     fn without_layer(&mut self, count: usize, request: &FitRequest) -> Result<Outcome> {
-        let size = request.size;
-        // Bytes reserved for the constant channels. They are increased if they do not suffice.
-        let mut spare = match size {
-            Size::Bytes(most) if !self.fits_all_channels() => 6 + most.min(1 << 30) / 400,
-            _ => 0,
-        };
-        loop {
-            let narrow = match size {
-                Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
-                Size::Free => Size::Free,
-            };
-            let mut outcome = self.fitted(count, narrow, request)?;
-            if !self.fits_all_channels() {
-                outcome.bytes = self.file(&outcome.splats)?;
+        let mut outcome = self.fitted(count, request)?;
+        if self.input.options.needs == Needs::Measured {
+            let max_error = self.input.pixels.depth().rounding_error() * self.fitted_samples();
+            self.pruned(&mut outcome, max_error)?;
+        }
+        // The result must not be worse than a single colour, with or without a Gaussian.
+        let background =
+            PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
+        let flat = constant::is_possible(self.input.options, self.blank.blend).then(|| self.flat());
+        let mut error = self.error_of(&outcome.splats);
+        for single in [Some(background), flat].into_iter().flatten() {
+            let (bytes, single_error) = (self.file(&single)?, self.error_of(&single));
+            if (error.is_nan() || error > single_error) && request.size.exceeded_by(&bytes) == 0 {
+                error = single_error;
+                (outcome.bytes, outcome.splats, outcome.pruned_bytes) = (bytes, single, 0);
             }
-            if self.input.options.needs == Needs::Measured {
-                let max_error = self.input.pixels.depth().rounding_error() * self.fitted_samples();
-                self.pruned(&mut outcome, max_error)?;
-            }
-            // The result must not be worse than a single colour.
-            let alone =
-                PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
-            let error = self.error_of(&outcome.splats);
-            if error.is_nan() || error > self.error_of(&alone) {
-                (outcome.bytes, outcome.splats, outcome.pruned_bytes) = (self.file(&alone)?, alone, 0);
-            }
-            let over = if request.under_layer.is_some() { 0 } else { size.exceeded_by(&outcome.bytes) };
-            if over == 0 {
-                return Ok(outcome);
-            }
-            if outcome.splats.gaussians.is_empty() {
+        }
+        // The size loop exceeds the size only if a file without primitives does.
+        match request.size.exceeded_by(&outcome.bytes) {
+            over @ 1.. if request.under_layer.is_none() => {
                 let needed = outcome.bytes.len() as u64;
-                return Err(self.too_small(needed - over, needed));
+                Err(self.too_small(needed - over, needed))
             }
-            spare += over + 4;
+            _ => Ok(outcome),
         }
     }
 }

@@ -142,8 +142,10 @@ impl Splat {
         // In each row, the support is an interval; the strips at both ends are drawn completely.
         let ellipse = std::f64::consts::PI * (ex * ex - self.tip * self.tip).max(0.0).sqrt() * ey;
         let ends = 2.0 * LANES as f64;
+        // Strips start inside the picture, so only the last one in a row overhangs its edge.
+        let widest = (wide + ends).min(f64::from(side[0]) + LANES as f64);
         // The cast saturates.
-        (ellipse + ends * high).min((wide + ends) * high) as u64
+        (ellipse + ends * high).min(widest * high) as u64
     }
 
     /// Returns the work per pixel of the splat, relative to a wide Gaussian. It is higher if each row takes an

@@ -14,13 +14,13 @@ use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::kernel;
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::objective::rows::RowSet;
-use crate::fit::model::problem::Problem;
+use crate::fit::model::problem::{Problem, overlap};
 use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
 use crate::round::bit_cost::{BitCosts, Cost};
 use crate::round::local_quadratic::{LocalQuadratic, Moves};
-use crate::round::patch::{Parabola, Patch};
+use crate::round::patch::{self, Parabola, Patch};
 use crate::round::rounded::projected;
 use crate::simd::{self, Simd, Task};
 use crate::strict_math::StrictMath;
@@ -143,6 +143,7 @@ fn sweep_channels<const C: usize>(
     // Each primitive is tried at most once per sweep, so these shapes stay valid until its turn.
     let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
     let mut projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
+    let max_row_step = patch::max_row_step(&scene, overlap(&scene, &floats));
     projected.extend_from_slice(&descent.frozen);
     // The sums are not divided yet, so that single primitives can be removed and added.
     field.draw(problem, &projected, RowSet::ALL, Output::Sums);
@@ -172,6 +173,7 @@ fn sweep_channels<const C: usize>(
                     members: &members[b],
                     planes,
                     first: offset + b * band,
+                    max_row_step,
                 };
                 simd::dispatch(task)
             });
@@ -252,6 +254,8 @@ struct BandTask<'a, const C: usize> {
     members: &'a [u32],
     planes: &'a mut [f32],
     first: usize,
+    /// Maximum distance of the rows of a patch.
+    max_row_step: usize,
 }
 
 impl<const C: usize> Task for BandTask<'_, C> {
@@ -260,7 +264,7 @@ impl<const C: usize> Task for BandTask<'_, C> {
     #[inline(always)]
     fn run<S: Simd>(mut self, simd: S) -> Vec<Change> {
         let mut changes = Vec::new();
-        let mut patch = Patch::new(self.problem);
+        let mut patch = Patch::new(self.problem, self.max_row_step);
         for n in 0..self.members.len() {
             let index = self.members[n];
             if let Some((to, gain)) = self.improve(simd, index as usize, &mut patch) {
@@ -529,6 +533,7 @@ mod tests {
     use crate::fit::model::objective::planes::Planes;
     use crate::fit::model::problem::Scene;
     use crate::gaussian::{Blend, Channels};
+    use crate::options::HiddenColors;
     use crate::pixels::{Pixels, Samples};
     use crate::round::rounded::{Rounded, quantizer};
 
@@ -536,13 +541,17 @@ mod tests {
     fn the_gain_of_a_sweep_equals_the_decrease_of_the_weighted_error() {
         // Smooth and busy content, far enough from black and white that nothing is clamped.
         let (width, height) = (96u32, 80u32);
-        for channels in [Channels::Grey, Channels::Rgb, Channels::Rgba] {
+        let all = [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba];
+        for (channels, hidden) in
+            all.into_iter().flat_map(|c| [HiddenColors::Continue, HiddenColors::Keep].map(|h| (c, h)))
+        {
             let value = |x: u32, y: u32, k: u32| 128.0 + 50.0 * (0.1 * (x + k) as f32).sin() + (x * y % 23) as f32;
             let count = channels.count() as u32;
             let samples = (0..width * height * count)
                 .map(|i| value(i / count % width, i / count / width, i % count) as u8)
                 .collect();
-            let mut target = Planes::new(&Pixels::new(width, height, channels, Samples::U8(samples)).unwrap());
+            let pixels = Pixels::new(width, height, channels, Samples::U8(samples)).unwrap();
+            let mut target = Planes::with_hidden(&pixels, hidden);
             target.amplitude = masking::amplitudes(&target, 120);
             target.channel_amplitude = [0.9, 1.3, 0.6, 1.1];
             for blend in [Blend::Normalized, Blend::Sum] {
@@ -566,7 +575,7 @@ mod tests {
                 let swept = descent.sweep(&mut gaussians, &[], 0.0);
                 let fall = before - descent.error(&gaussians);
                 // Sums of several thousand pixels in f32, a few of them at a time.
-                assert!((swept / fall - 1.0).abs() < 1e-3, "{channels:?} {blend:?} {} {fall}", swept);
+                assert!((swept / fall - 1.0).abs() < 1e-3, "{channels:?} {hidden:?} {blend:?} {} {fall}", swept);
                 assert!(fall > 0.1 * before, "{fall} {before}");
             }
         }

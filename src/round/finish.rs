@@ -5,6 +5,7 @@ use crate::bitstream::splats::{Layout, PackedGaussian};
 use crate::error::Result;
 use crate::fit::engine::{Snapshot, StaticSnapshot};
 use crate::fit::model::drawing::field::float_error;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
@@ -66,7 +67,8 @@ pub(crate) fn finish(task: &Rounding<'_>, mut state: State, client: &mut dyn Cli
     let descent = Descent::new(problem, &quantizer, field);
     let mut integers = WholeIntegers { quantizer: &quantizer, descent, rounded, client };
     let sweeps = plan.sweeps;
-    bring_to_size(&mut integers, SizeSchedule { size, sweeps, descends, deadline: plan.deadline })?;
+    let enough = plan.enough * problem.samples(RowSet::ALL);
+    bring_to_size(&mut integers, SizeSchedule { size, sweeps, descends, enough, deadline: plan.deadline })?;
     Ok(Finished { rounded: integers.rounded, float_error })
 }
 

@@ -9,16 +9,32 @@ use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
 use crate::round::local_quadratic::LocalQuadratic;
 use crate::simd::{LANES, Simd};
 use crate::strict_math::StrictMath;
+use crate::weighting::RowWeights;
 
-/// On a large picture, the distance of a patch's rows grows by 1 for this many rows of the primitive's support.
+/// Where rows may be skipped, their distance grows by 1 for this many rows of the primitive's support.
 const SUPPORT_ROWS_PER_STEP: usize = 32;
 
-/// Maximum distance of the rows of a patch.
+/// Maximum distance of the rows of a patch on a large picture.
 const MAX_ROW_STEP: usize = 4;
+
+/// Mean number of primitives over a pixel, for each row step that is added on any picture. Photographs have 4 to 16. A
+/// gradient can have hundreds of wide ones, and would take many times as long as a photograph.
+const PRIMITIVES_PER_ROW_STEP: f32 = 24.0;
+
+/// Maximum distance of these rows.
+const MAX_CROWDED_ROW_STEP: f32 = 16.0;
+
+/// Returns the maximum distance of the rows of patches, if `overlap` primitives cover a pixel in the mean.
+pub(super) fn max_row_step(scene: &Scene, overlap: f32) -> usize {
+    let crowded = (overlap / PRIMITIVES_PER_ROW_STEP).ceil().clamp(1.0, MAX_CROWDED_ROW_STEP) as usize;
+    if scene.is_large() { crowded.max(MAX_ROW_STEP) } else { crowded }
+}
 
 /// The pixels around one primitive, with that primitive removed.
 pub(super) struct Patch<'a> {
     problem: &'a Problem<'a>,
+    /// Maximum of `step`.
+    max_step: usize,
     /// The removed primitive.
     removed: Option<Projected>,
     /// Rows of `2C + 1` planes with `stride` floats each: `Σwc` with `εb` (C), targets (C), squared error. Only
@@ -42,16 +58,20 @@ pub(super) struct Patch<'a> {
 pub(super) struct Parabola {
     rest: f32,
     cross: [f32; 4],
+    /// Without the weights of the channels: of the first channel, and of the one that is the opacity of the others.
     square: [f32; 2],
     /// Weight of the squared error in each channel.
     channel_weights: [f32; 4],
+    /// The channel that is the opacity of the others.
+    opacity: Option<usize>,
 }
 
 impl<'a> Patch<'a> {
-    /// Creates an empty patch.
-    pub(super) fn new(problem: &'a Problem<'a>) -> Self {
+    /// Creates an empty patch whose rows are at most `max_step` apart.
+    pub(super) fn new(problem: &'a Problem<'a>, max_step: usize) -> Self {
         Patch {
             problem,
+            max_step,
             removed: None,
             planes: Vec::new(),
             divisors: Vec::new(),
@@ -129,7 +149,6 @@ impl<'a> Patch<'a> {
         let Problem { scene: Scene { width: picture, blend, .. }, target } = *self.problem;
         let (stride, colors, width) = (target.stride, p.color, self.stride);
         let (left, right) = (self.columns.start, self.columns.end);
-        let alpha = target.opacity;
         let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
         let background: [f32; C] = std::array::from_fn(|k| self.background_term(k));
         let out = &mut self.planes[i * (2 * C + 1) * width..][..(2 * C + 1) * width];
@@ -137,7 +156,7 @@ impl<'a> Patch<'a> {
         let row = &sums[(y - first) * (C + 1) * stride..][..(C + 1) * stride];
         let wanted = target.row(y as u32);
         let span = p.span(y as u32, picture);
-        let amplitude = target.amplitude(y as u32);
+        let weights = target.weights(y as u32);
         let mut base_error = zero;
         for o in vectors {
             let o = o as usize * LANES;
@@ -167,14 +186,10 @@ impl<'a> Patch<'a> {
                 let n = simd.sub(sum, simd.mul(own, simd.splat(colors[k])));
                 let t = clamped_target(simd, simd.read(&wanted[k * stride + x..]), simd.mul(sum, with));
                 let mut d = simd.sub(simd.mul(n, share), t);
-                // Colours are weighted by their opacity, because errors in transparent pixels are invisible.
-                if let Some(a) = alpha.filter(|&a| a != k) {
-                    d = simd.mul(d, simd.read(&wanted[a * stride + x..]));
+                if let Some(factor) = weights.pixels(simd, k, x) {
+                    d = simd.mul(d, factor);
                 }
-                if let Some(a) = amplitude {
-                    d = simd.mul(d, simd.read(&a[x..]));
-                }
-                d = simd.mul(d, simd.splat(target.channel_amplitude[k]));
+                d = simd.mul(d, simd.splat(weights.channels[k]));
                 error = simd.add(error, simd.mul(d, d));
                 // Both are stored unweighted. Weights are applied when a candidate is evaluated.
                 simd.write(&mut out[k * width + o..], n);
@@ -189,11 +204,10 @@ impl<'a> Patch<'a> {
         base_error
     }
 
-    /// Returns the distance of the stored rows. On a large picture, tall primitives have more pixels than a decision
-    /// needs.
+    /// Returns the distance of the stored rows. Tall primitives have more pixels than a decision needs.
     fn row_step(&self, p: &Projected) -> usize {
         let tall = (p.rows[1] - p.rows[0]) as usize;
-        if self.problem.scene.is_large() { (tall / SUPPORT_ROWS_PER_STEP).clamp(1, MAX_ROW_STEP) } else { 1 }
+        (tall / SUPPORT_ROWS_PER_STEP).clamp(1, self.max_step)
     }
 
     /// Returns the background's term in channel `k`, which is added to `Σwc` before the division.
@@ -224,6 +238,7 @@ impl<'a> Patch<'a> {
             cross: [0.0; 4],
             square: [simd.sum(errors.square[0]), simd.sum(errors.square[1])].map(|s| s * scale),
             channel_weights,
+            opacity: self.problem.target.opacity,
         };
         for k in 0..C {
             out.cross[k] = simd.sum(errors.cross[k]) * scale * out.channel_weights[k];
@@ -242,7 +257,6 @@ impl<'a> Patch<'a> {
             row: self.rows.start + range.start * self.step,
             step: self.step,
             target: self.problem.target,
-            alpha: self.problem.target.opacity,
             blend: self.problem.scene.blend,
         }
     }
@@ -291,7 +305,7 @@ impl<'a> Patch<'a> {
                 let mut v = simd.sum(slopes.second[n]) * scale;
                 for (k, by_color) in mixed.iter().enumerate() {
                     // Subtract the effect of optimizing the colour (Schur complement).
-                    v -= by_color[a] * by_color[b] / (parabola.square(k, C) + 1e-6);
+                    v -= by_color[a] * by_color[b] / (parabola.square(k) + 1e-6);
                 }
                 (local_quadratic.curvature[a][b], local_quadratic.curvature[b][a]) = (v, v);
                 n += 1;
@@ -354,15 +368,15 @@ impl Parabola {
     pub(super) fn at(&self, c: [f32; 4], channels: usize) -> f32 {
         let mut e = self.rest;
         for k in 0..channels {
-            e += c[k] * (2.0 * self.cross[k] + c[k] * self.square(k, channels));
+            e += c[k] * (2.0 * self.cross[k] + c[k] * self.square(k));
         }
         e
     }
 
-    /// Returns `Σ r²` of channel `k`. Alpha is weighted differently from colour.
+    /// Returns `Σ r²` of channel `k`.
     #[inline(always)]
-    fn square(&self, k: usize, channels: usize) -> f32 {
-        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)] * self.channel_weights[k]
+    fn square(&self, k: usize) -> f32 {
+        self.square[usize::from(self.opacity == Some(k))] * self.channel_weights[k]
     }
 
     /// Returns the colour of the smallest error, or `None` if the error hardly depends on the colour.
@@ -370,7 +384,7 @@ impl Parabola {
     pub(super) fn minimum(&self, channels: usize) -> Option<[f32; 4]> {
         let mut c = [0.0f32; 4];
         for k in 0..channels {
-            let square = self.square(k, channels);
+            let square = self.square(k);
             if square < 1e-6 {
                 return None;
             }
@@ -392,31 +406,29 @@ struct PatchRows<'a> {
     row: usize,
     step: usize,
     target: &'a Planes,
-    alpha: Option<usize>,
     blend: Blend,
 }
 
-/// PixelVector adjacent pixels of a patch.
+/// One vector of adjacent pixels of a patch.
 struct PixelVector<'a> {
     /// The row's planes, starting at these pixels.
     planes: &'a [f32],
     divisors: &'a [f32],
     stride: usize,
-    /// Factors of the errors before they are squared.
-    amplitude: Option<&'a [f32]>,
-    /// The channel whose target weights the errors of the other channels.
-    alpha: Option<usize>,
+    /// The first pixel's column in the picture, and the weights of its row.
+    x: usize,
+    weights: RowWeights<'a>,
     blend: Blend,
 }
 
 impl PatchRows<'_> {
     #[inline(always)]
     fn vector<const C: usize>(&self, i: usize, x: usize) -> PixelVector<'_> {
-        let PatchRows { stride, alpha, blend, .. } = *self;
+        let PatchRows { stride, blend, .. } = *self;
         let planes = &self.planes[i * (2 * C + 1) * stride + x - self.left..];
         let divisors = &self.divisors[i * stride + x - self.left..];
-        let amplitude = self.target.amplitude((self.row + i * self.step) as u32).map(|a| &a[x..]);
-        PixelVector { planes, divisors, stride, amplitude, alpha, blend }
+        let weights = self.target.weights((self.row + i * self.step) as u32);
+        PixelVector { planes, divisors, stride, x, weights, blend }
     }
 }
 
@@ -435,17 +447,17 @@ impl PixelVector<'_> {
         }
     }
 
-    /// Returns `v`, a value of channel `k`, multiplied by the error factors of these pixels.
+    /// Returns the factor of the errors in channel `k` without that of the channel; `None` means 1.
     #[inline(always)]
-    fn weighted<S: Simd, const C: usize>(&self, simd: S, k: usize, mut v: S::Vector) -> S::Vector {
-        if let Some(a) = self.amplitude {
-            v = simd.mul(v, simd.read(a));
-        }
-        if let Some(plane) = self.alpha.filter(|&a| a != k) {
-            v = simd.mul(v, self.plane(simd, C + plane));
-        }
-        v
+    fn factor<S: Simd>(&self, simd: S, k: usize) -> Option<S::Vector> {
+        self.weights.pixels(simd, k, self.x)
     }
+}
+
+/// Returns `v` times `factor`; `None` means 1.
+#[inline(always)]
+fn by<S: Simd>(simd: S, v: S::Vector, factor: Option<S::Vector>) -> S::Vector {
+    factor.map_or(v, |factor| simd.mul(v, factor))
 }
 
 /// Accumulates a [`Parabola`].
@@ -469,13 +481,14 @@ impl<S: Simd, const C: usize> Visit<S> for ParabolaVisitor<'_, S, C> {
         let mut error = zero;
         for k in 0..C {
             let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + k));
-            let a = at.weighted::<S, C>(simd, k, a);
-            let r = at.weighted::<S, C>(simd, k, part);
+            let factor = at.factor(simd, k);
+            let (a, r) = (by(simd, a, factor), by(simd, part, factor));
             let counted = simd.mul(a, simd.splat(self.channel_weights[k]));
             error = simd.add(error, simd.mul(counted, a));
             self.cross[k] = simd.add(self.cross[k], simd.mul(a, r));
-            if k == 0 || at.alpha == Some(k) {
-                let s = usize::from(k != 0);
+            let is_opacity = self.pixels.target.opacity == Some(k);
+            if k == 0 || is_opacity {
+                let s = usize::from(is_opacity);
                 self.square[s] = simd.add(self.square[s], simd.mul(r, r));
             }
         }
@@ -523,12 +536,13 @@ impl<S: Simd, const C: usize> Visit<S> for QuadraticVisitor<'_, S, C> {
                 Blend::Sum => simd.mul(color, e),
             };
             let channel_weights = simd.splat(self.pixels.target.channel_amplitude[k]);
-            let own = simd.mul(at.weighted::<S, C>(simd, k, own), channel_weights);
-            let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + k)));
+            let factor = at.factor(simd, k);
+            let own = simd.mul(by(simd, own, factor), channel_weights);
+            let error = by(simd, simd.sub(value, at.plane(simd, C + k)), factor);
             let error = simd.mul(error, channel_weights);
             t = simd.add(t, simd.mul(error, own));
             square = simd.add(square, simd.mul(own, own));
-            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(simd.mul(own, w), share), channel_weights));
+            let shown = by(simd, simd.mul(simd.mul(simd.mul(own, w), share), channel_weights), factor);
             for (sum, f) in self.mixed[k].iter_mut().zip(features) {
                 *sum = simd.add(*sum, simd.mul(shown, f));
             }

@@ -71,6 +71,9 @@ pub(crate) struct SizeSchedule {
     pub sweeps: u32,
     /// Whether there are sweeps at all. Without them, only the size is corrected.
     pub descends: bool,
+    /// Squared error, with the weights of the fit, at which more primitives gain nothing. The loop then ends with a file
+    /// that may be smaller than its size.
+    pub enough: f64,
     /// When the loop should end, whatever remains to be done.
     pub deadline: Option<Instant>,
 }
@@ -160,6 +163,9 @@ impl<S: IntegerSet> SizeLoop<'_, S> {
     fn fits(&mut self, round: u32, error: f64, (bytes, max_bytes): (u64, u64), is_late: bool) -> Result<bool> {
         let sweeps = self.schedule.sweeps;
         self.keep(error, bytes, max_bytes);
+        if bytes <= max_bytes && error <= self.schedule.enough {
+            return Ok(true);
+        }
         if is_late && self.best.as_ref().is_some_and(|b| b.fills_size) {
             return Ok(true);
         }
@@ -273,7 +279,7 @@ mod tests {
 
     fn sized(count: u64, growth: u64, size: Size, deadline: Option<Instant>) -> Made {
         let mut set = Made { count, growth, ..Made::default() };
-        bring_to_size(&mut set, SizeSchedule { size, sweeps: 4, descends: true, deadline }).unwrap();
+        bring_to_size(&mut set, SizeSchedule { size, sweeps: 4, descends: true, enough: 0.0, deadline }).unwrap();
         set
     }
 
@@ -294,6 +300,14 @@ mod tests {
             assert_eq!(set.sweeps, 0);
             assert!((9_800..=10_000).contains(&set.bytes().unwrap()), "{count}");
         }
+    }
+
+    #[test]
+    fn a_picture_that_is_good_enough_gets_no_more_primitives() {
+        let mut set = Made { count: 50, ..Made::default() };
+        let (size, enough) = (Size::Bytes(10_000), set.error().unwrap());
+        bring_to_size(&mut set, SizeSchedule { size, sweeps: 4, descends: true, enough, deadline: None }).unwrap();
+        assert_eq!((set.count, set.sweeps), (50, 0));
     }
 
     #[test]

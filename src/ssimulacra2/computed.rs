@@ -2,7 +2,7 @@
 
 use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimulacra2_with_config};
 
-use super::MIN_SIDE;
+use super::measurable::measurable;
 use crate::error::{Error, Result};
 use crate::metrics::BACKGROUNDS;
 use crate::parameter::Parameter;
@@ -17,24 +17,31 @@ const STRIP_ROWS: usize = 256;
 
 /// Returns the SSIMULACRA2 score of two pictures of the same size, channels and depth, whose samples are interpreted
 /// as sRGB. The score is at most 100, for identical pictures. About 90, 70, 50 and 30 mean very high, high, medium and
-/// low quality; scores can be negative. Returns `None` if a side is under 8 pixels. Pictures with alpha are composited
-/// onto a dark and onto a light grey, and the lower score is returned.
+/// low quality; scores can be negative. Pictures with alpha are composited onto a dark and onto a light grey, and the
+/// lower score is returned. Pictures with a side below 64 pixels are mirrored before they are measured, because the
+/// measure needs several scales. If `reference` has 16 bits and uses less than an eighth of their range, that part is
+/// stretched to the whole range in both pictures.
 ///
 /// # Errors
 /// [`Error::Parameter`] if the two differ in width, height, channels or depth.
-pub fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f64>> {
+pub fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<f64> {
     crate::metrics::check_alike(reference, test)?;
-    let size = [reference.width(), reference.height()];
-    if size[0].min(size[1]) < MIN_SIDE {
-        return Ok(None);
+    if let Some([reference, test]) = measurable(reference, test) {
+        return measured(&reference, &test);
     }
+    measured(reference, test)
+}
+
+/// Returns the score of pictures that can be measured as they are.
+fn measured(reference: &Pixels, test: &Pixels) -> Result<f64> {
+    let size = [reference.width(), reference.height()];
     let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
     let mut worst = f64::INFINITY;
     for &background in backgrounds {
         let [a, b] = [reference, test].map(|pixels| linear_light(pixels, background));
         worst = worst.min(similarity(&a, &b, size)?);
     }
-    Ok(Some(worst))
+    Ok(worst)
 }
 
 fn similarity(a: &[[f32; 3]], b: &[[f32; 3]], [width, height]: [u32; 2]) -> Result<f64> {

@@ -2,6 +2,7 @@
 
 #[cfg(feature = "quality")]
 mod computed;
+mod measurable;
 #[cfg(any(test, not(feature = "quality")))]
 #[cfg_attr(
     any(test, not(feature = "unstable")),
@@ -20,6 +21,3 @@ pub use computed::ssimulacra2;
 pub use provided::provide_score;
 #[cfg(not(feature = "quality"))]
 pub(crate) use provided::ssimulacra2;
-
-/// Smallest side of a picture that can be measured, pixels.
-pub(crate) const MIN_SIDE: u32 = 8;

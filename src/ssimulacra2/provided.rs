@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use super::MIN_SIDE;
+use super::measurable::measurable;
 use crate::error::{Error, Result};
 use crate::parameter::Parameter;
 use crate::pixels::Pixels;
@@ -18,19 +18,19 @@ pub fn provide_score(score: Score) -> bool {
     SCORE.set(score).is_ok()
 }
 
-/// Returns the SSIMULACRA2 score of two pictures of the same size, channels and depth. Returns `None` if a side is
-/// under 8 pixels.
+/// Returns the SSIMULACRA2 score of two pictures of the same size, channels and depth. Small pictures are mirrored, and
+/// narrow ranges of 16 bits are stretched before they are measured.
 ///
 /// # Errors
 /// [`Error::Parameter`] if the two differ in width, height, channels or depth, or if no score was provided.
-pub(crate) fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f64>> {
+pub(crate) fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<f64> {
     crate::metrics::check_alike(reference, test)?;
-    if reference.width().min(reference.height()) < MIN_SIDE {
-        return Ok(None);
-    }
     let problem = || "this build has no SSIMULACRA2, and the program provides none".to_owned();
     let score = SCORE.get().ok_or_else(|| Error::Parameter { parameter: Parameter::Quality, problem: problem() })?;
-    Ok(Some(score(reference, test)))
+    Ok(match measurable(reference, test) {
+        Some([reference, test]) => score(&reference, &test),
+        None => score(reference, test),
+    })
 }
 
 #[cfg(test)]
@@ -52,8 +52,7 @@ mod tests {
             10.0 * first(a) + first(b)
         }
         assert!(provide_score(score) && !provide_score(score));
-        assert_eq!(ssimulacra2(&a, &b).unwrap(), Some(12.0));
-        assert_eq!(ssimulacra2(&grey(7, 1), &grey(7, 2)).unwrap(), None);
+        assert_eq!(ssimulacra2(&a, &b).unwrap(), 12.0);
         assert!(ssimulacra2(&a, &grey(9, 2)).is_err());
     }
 }

@@ -31,7 +31,7 @@ def ms_ssim(a: ImageLike, b: ImageLike, *, threads: int | None = None) -> float 
     return _ssplat.compare(pixels("a", a)[0], pixels("b", b)[0], threads)[2]
 
 
-def ssimulacra2(a: ImageLike, b: ImageLike, *, threads: int | None = None) -> float | None:
+def ssimulacra2(a: ImageLike, b: ImageLike, *, threads: int | None = None) -> float:
     """Returns the SSIMULACRA2 score, at most 100. Very high, high, medium and low quality are about 90, 70, 50 and 30;
-    worse pictures are below 0. Returns None if a side has less than 8 pixels."""
+    worse pictures are below 0. Pictures with a side below 64 pixels are mirrored before they are measured."""
     return _ssplat.ssimulacra2(pixels("a", a)[0], pixels("b", b)[0], threads)

@@ -75,6 +75,9 @@ impl WholeSession<'_> {
         // The size of header and metadata does not depend on the division.
         let fixed = self.fixed()?;
         let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(&alone) };
+        if self.range.is_some() {
+            return self.over_flat(most);
+        }
         let limit = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
         let until = limit.and_then(|limit| Instant::now().checked_add(limit));
         let division = |texture| Division { fixed, shared, texture, rounds: self.rounds(shared), until };
@@ -100,6 +103,22 @@ impl WholeSession<'_> {
             }
             _ => self.gaussians_of_size(&alone),
         }
+    }
+
+    /// Encodes to a file of at most `most` bytes whose Gaussians are one colour under a detail layer.
+    fn over_flat(&mut self, most: u64) -> Result<Outcome> {
+        let splats = self.flat();
+        let (bytes, float_error) = (self.file(&splats)?, self.error_of(&splats));
+        let needed = bytes.len() as u64;
+        if needed > most {
+            return Err(self.too_small(most, needed));
+        }
+        let base = Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 };
+        if self.pixels() > LARGEST {
+            return layered_in_parts(self, self.input.pixels, base, most);
+        }
+        let layered = self.timed_layer(base, most)?;
+        self.joined(layered, most, 0, None)
     }
 
     /// Returns the texture of the picture if the division of the bytes depends on it.
@@ -285,8 +304,7 @@ impl WholeSession<'_> {
 
     /// Returns the estimated fraction of the error of `splats` that doubling the number of Gaussians would remove.
     fn estimated_gain(&self, splats: &PackedSplats) -> f64 {
-        let mut plain = self.planes.weighed(Vec::new());
-        plain.channel_amplitude = [1.0; 4];
+        let plain = self.planes.untuned();
         let problem = Problem { scene: stored_scene(splats), target: &plain };
         let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
         let mut field = Field::default();

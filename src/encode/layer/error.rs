@@ -68,22 +68,12 @@ impl Added {
     }
 }
 
-/// Weights of errors.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::encode) enum Counted {
-    /// All errors have equal weight.
-    Alike,
-    /// Errors have the weights of the target.
-    AsTheyWeigh,
-}
-
-/// Returns the squared error of the picture rendered from `projected` with `layer` over it. `channels` are the channels
-/// of the layer.
+/// Returns the squared error of the picture rendered from `projected` with `layer` over it, with the weights of
+/// `target`. `channels` are the channels of the layer.
 pub(in crate::encode) fn squared_error(
     (scene, target): (Scene, &Planes),
     projected: &[Projected],
     (layer, channels): (&DetailLayer, Channels),
-    counted: Counted,
 ) -> f64 {
     let problem = Problem { scene, target };
     let [across, _] = tile_counts([target.width, target.height]);
@@ -92,7 +82,7 @@ pub(in crate::encode) fn squared_error(
         let added = Added::of_lines(layer, channels, target, part.lines());
         let errors = parallel::map(part.lines().len(), |i| {
             let y = part.first + i;
-            row_error(target, y, part.row(y), &added, counted)
+            row_error(target, y, part.row(y), &added)
         });
         sum = errors.iter().fold(sum, |sum, error| sum + error);
     });
@@ -100,31 +90,49 @@ pub(in crate::encode) fn squared_error(
 }
 
 /// Returns the squared error of line `y`, of which the Gaussians render `drawn`.
-fn row_error(target: &Planes, y: usize, drawn: &[f32], added: &Added, counted: Counted) -> f64 {
-    let (count, alpha) = (target.channels.count(), target.opacity);
+fn row_error(target: &Planes, y: usize, drawn: &[f32], added: &Added) -> f64 {
+    let (count, weights) = (target.channels.count(), target.weights(y as u32));
     let wanted = target.row(y as u32);
     let mut more = vec![0.0; target.width as usize];
     let mut error = 0.0;
-    let amplitude = target.amplitude(y as u32).filter(|_| counted == Counted::AsTheyWeigh);
     for k in 0..count {
-        let channel = if counted == Counted::AsTheyWeigh { target.channel_amplitude[k] } else { 1.0 };
         added.row(y, k, &mut more);
         for (x, more) in more.iter().enumerate() {
             let at = k * target.stride + x;
-            let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
             let value = (drawn[at].clamp(0.0, 1.0) + more).clamp(0.0, 1.0);
-            let weight = opacity * channel * amplitude.map_or(1.0, |a| a[x]);
-            error += f64::from((value - wanted[at]) * weight).powi(2);
+            error += f64::from((value - wanted[at]) * weights.factor(k, x)).powi(2);
         }
     }
     error
 }
 
-/// Returns the squared error of a stored picture over the samples of `planes`. `channels` are those of the file.
+/// Returns the squared error of a stored picture over the samples of `planes`, with their weights except those of the
+/// tuning. `channels` are those of the file.
 pub(in crate::encode) fn stored_error(splats: &PackedSplats, planes: &Planes, channels: Channels) -> f64 {
     let projected = projected(&splats.quantizer(), &splats.gaussians, splats.height);
     if let Some(layer) = &splats.detail {
-        return squared_error((stored_scene(splats), planes), &projected, (layer, channels), Counted::Alike);
+        return squared_error((stored_scene(splats), &planes.untuned()), &projected, (layer, channels));
     }
     field::squared_error(&Problem { scene: stored_scene(splats), target: planes }, &projected)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::weighting::cases;
+
+    #[test]
+    fn errors_of_rows_are_weighted_sums_over_all_samples() {
+        let (width, height) = (37u32, 9u32);
+        for case in cases::all(width, height) {
+            let (target, count) = (&case.target, case.target.channels.count());
+            // A layer without tiles adds nothing.
+            let added = Added { tiles: vec![None], across: 1, first: 0, of: [0, 1, 2, 3] };
+            let drawn = vec![0.25f32; (count + 1) * target.stride];
+            let error: f64 = (0..height as usize).map(|y| row_error(target, y, &drawn, &added)).sum();
+            let samples = case.values.iter().zip(&case.weights);
+            let want: f64 = samples.map(|(value, weight)| weight * (value - 0.25).powi(2)).sum();
+            assert!((error / want - 1.0).abs() < 1e-5, "{}: {error} {want}", case.name);
+        }
+    }
 }

@@ -27,6 +27,7 @@ use crate::bitstream::detail::levels::tile_counts;
 use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::gaussian::Channels;
 use crate::instant::Instant;
@@ -35,7 +36,6 @@ use crate::pixel_source::PixelSource;
 use crate::round::rounded::projected;
 use crate::strict_math::StrictMath;
 use choose::{BlockChoice, LevelSearch, Setting};
-use error::Counted;
 use parts::Parts;
 use residual::TileResidual;
 use search::{Closeness, Coded, SearchSettings, search};
@@ -123,6 +123,10 @@ struct Preset {
     slopes: Slopes,
 }
 
+/// Number of sample values of a picture with 16 bits below which its layer is coded for the lowest squared error. The
+/// smallest step is 4 values, and the tuned ones are several times larger at high frequencies.
+const MIN_TUNED_LEVELS: u32 = 2048;
+
 /// Factor between the two steps at which the value of the layer's bytes is measured.
 const COARSER: f64 = 1.5;
 /// Exponent with which the bytes decrease as the step grows, in the range of this measurement.
@@ -204,23 +208,35 @@ impl WholeSession<'_> {
 
     /// Returns the error that the encoder minimizes, with the weights of the fit.
     fn layered_error(&self, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
-        self.error_counted(splats, layer, Counted::AsTheyWeigh)
+        self.error_by(&self.planes, splats, layer)
     }
 
-    /// Returns the error with equal weights.
+    /// Returns the error without the weights of the tuning.
     fn plain_error(&self, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
-        self.error_counted(splats, layer, Counted::Alike)
+        self.error_by(&self.planes.untuned(), splats, layer)
     }
 
-    fn error_counted(&self, splats: &PackedSplats, layer: &DetailLayer, counted: Counted) -> f64 {
+    /// Returns the error with the weights of `planes`.
+    fn error_by(&self, planes: &Planes, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
         let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
         let layer = (layer, self.input.channels());
-        error::squared_error((stored_scene(splats), &self.planes), &drawn, layer, counted)
+        error::squared_error((stored_scene(splats), planes), &drawn, layer)
     }
 
     fn residuals(&self, splats: &PackedSplats) -> Vec<TileResidual> {
         let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        residual::residuals(stored_scene(splats), &self.planes, &drawn)
+        let mut tiles = residual::residuals(stored_scene(splats), &self.planes, &drawn);
+        if let Some(range) = self.range {
+            // Luma only serves to find where errors are masked.
+            tiles.iter_mut().flat_map(|tile| &mut tile.luma).for_each(|luma| *luma *= range.factor());
+        }
+        tiles
+    }
+
+    /// Returns the tuning of the layer. Contrasts of few levels need the finest steps at all frequencies.
+    fn layer_tune(&self) -> Tune {
+        let has_few_levels = self.range.is_some_and(|range| range.levels() < MIN_TUNED_LEVELS);
+        if has_few_levels { Tune::Psnr } else { self.input.options.favoured() }
     }
 
     fn settings_of_layer(&self, max_bytes: u64) -> SearchSettings {
@@ -233,7 +249,7 @@ impl WholeSession<'_> {
             max_bytes,
             keeps_blocks,
             closeness: if effort == 1 { Closeness::HASTY } else { Closeness::USUAL },
-            ..search_settings(self.input.options.favoured(), self.input.channels(), has_alpha)
+            ..search_settings(self.layer_tune(), self.input.channels(), has_alpha)
         };
         if effort >= MIN_PRICED_EFFORT && self.pixels() < LARGE_PIXELS {
             settings.coding.blocks = BlockChoice::Priced;
@@ -251,7 +267,8 @@ impl WholeSession<'_> {
             Some(near) => near.layer.head.sizes == for_drawing(settings, Tune::Psnr).coding.head.sizes,
             None => {
                 let bits = 8.0 * bytes as f64 / self.pixels() as f64;
-                bits >= least_drawing_bits(self.pixels())
+                self.range.is_none()
+                    && bits >= least_drawing_bits(self.pixels())
                     && self.measured_texture().is_some_and(|texture| texture.is_drawing())
             }
         };

@@ -29,16 +29,15 @@ const RUNS: u32 = 5;
 /// Typical number of times, from which the progress is estimated.
 const EXPECTED: f32 = 2.0;
 
-/// Returns the squared error between two pictures. The errors of colours are weighted by the opacity of `wanted`.
+/// Returns the squared error between two pictures, with the weights of `wanted`.
 pub(in crate::encode) fn error_between(wanted: &Planes, drawn: &Planes) -> f64 {
     let mut error = 0.0;
     for y in 0..wanted.height {
-        let (wanted_row, drawn) = (wanted.row(y), drawn.row(y));
+        let (weights, wanted_row, drawn) = (wanted.weights(y), wanted.row(y), drawn.row(y));
         for k in 0..wanted.channels.count() {
             for x in 0..wanted.width as usize {
                 let at = k * wanted.stride + x;
-                let opacity = wanted.opacity.filter(|&a| a != k).map_or(1.0, |a| wanted_row[a * wanted.stride + x]);
-                error += f64::from((drawn[at] - wanted_row[at]) * opacity).powi(2);
+                error += f64::from((drawn[at] - wanted_row[at]) * weights.factor(k, x)).powi(2);
             }
         }
     }

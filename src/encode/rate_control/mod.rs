@@ -5,13 +5,15 @@ mod psnr;
 mod quality;
 mod search;
 
-use super::input::{may_leave_out, too_small_with};
+use super::constant;
+use super::drawn::check_opens;
+use super::input::too_small_with;
 use super::session::{EncodeSession, Outcome};
 use super::skipped::SkipReason;
 use super::thumbnail;
-use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
-use crate::error::Result;
-use crate::gaussian::Blend;
+use crate::bitstream::sections::{SECTION_COUNT_BYTES, section_bytes};
+use crate::bitstream::splats::Layout;
+use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
@@ -32,16 +34,14 @@ pub(super) const CODED_BITS: f64 = 34.5;
 /// Minimum number of bytes for the primitives of [`Target::Auto`], enough for about twenty.
 const MIN_AUTO_BYTES: u64 = 80;
 
-/// Returns the requested size of the file. `fixed` is the size of the file without primitives, in bytes.
-pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
+/// Returns the requested size of the file without its metadata. `fixed` is the size of the file without primitives and
+/// metadata, in bytes.
+pub(super) fn picture_size(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
+    let metadata = metadata_bytes(options);
     match options.target {
-        Target::Auto => {
-            let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
-            let metadata = length(options.icc.as_ref()) + length(options.exif.as_ref());
-            Size::Bytes(((samples / AUTO_RATIO) as u64 + metadata).max(fixed + MIN_AUTO_BYTES))
-        }
-        Target::Ratio(ratio) => Size::Bytes((samples / ratio).floor() as u64),
-        Target::Bytes(bytes) => Size::Bytes(bytes),
+        Target::Auto => Size::Bytes(((samples / AUTO_RATIO) as u64).max(fixed + MIN_AUTO_BYTES)),
+        Target::Ratio(ratio) => Size::Bytes(((samples / ratio).floor() as u64).saturating_sub(metadata)),
+        Target::Bytes(bytes) => Size::Bytes(bytes.saturating_sub(metadata)),
         Target::Primitives(_) | Target::Psnr(_) => Size::Free,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Size::Free,
@@ -68,18 +68,48 @@ pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples:
     Ok(count.min(MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
-/// Encodes to the target of the options.
+/// Encodes to the target of the options, without metadata except for the thumbnail.
 pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
+    picture(session).map_err(|e| with_metadata(e, session.options(), session.samples()))
+}
+
+/// Adds the metadata to an error about the size of a file.
+fn with_metadata(error: Error, options: &EncodeOptions, samples: f64) -> Error {
+    match error {
+        Error::TooSmall { asked, allowed, needed, icc, exif } => {
+            let metadata = metadata_bytes(options);
+            let allowed = match options.target {
+                Target::Bytes(bytes) => bytes,
+                Target::Ratio(ratio) => (samples / ratio).floor() as u64,
+                _ => allowed + metadata,
+            };
+            Error::TooSmall { asked, allowed, needed: needed + metadata, icc, exif }
+        }
+        e => e,
+    }
+}
+
+fn picture<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
     let options = session.options();
     let target = options.target;
-    let size = size_asked(options, session.samples(), session.fixed()?);
+    let size = picture_size(options, session.samples(), session.fixed()?);
     if let Some(constant) = of_one_color(session, size)? {
         return Ok(constant);
     }
     let mut outcome = match target {
         Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
-            let (remaining, room) = thumbnail::reserve_thumbnail(session, size);
-            session.at_size(remaining, None).map_err(|e| thumbnail::counted(e, size, room))?
+            let (mut remaining, room) = thumbnail::reserve_thumbnail(session, size);
+            loop {
+                let outcome = session.at_size(remaining, None).map_err(|e| thumbnail::counted(e, size, room))?;
+                match (check_opens(&session.widened(&outcome.splats)), remaining) {
+                    // Gaussians that cover much of a very large picture can take too much work to render. Fewer of them
+                    // fit into fewer bytes.
+                    (Err(Error::LimitExceeded { .. }), Size::Bytes(bytes)) if bytes > 2 * session.fixed()? => {
+                        remaining = Size::Bytes(bytes / 2);
+                    }
+                    (checked, _) => break checked.map(|()| outcome)?,
+                }
+            }
         }
         Target::Primitives(count) => session.at_count(count as usize)?,
         Target::Psnr(psnr) => psnr::to_psnr(session, psnr)?,
@@ -90,18 +120,18 @@ pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Out
     Ok(outcome)
 }
 
-/// Returns the number of bytes that the ICC profile and the EXIF block take in the file.
-fn metadata_bytes<'a, S: EncodeSession<'a>>(session: &S) -> Result<u64> {
-    let bare = PackedSplats { metadata: Metadata::default(), ..session.blank().clone() };
-    Ok(session.fixed()? - session.file(&bare)?.len() as u64)
+/// Returns the number of bytes that the ICC profile and the EXIF block add to a file.
+fn metadata_bytes(options: &EncodeOptions) -> u64 {
+    let blocks = [&options.icc, &options.exif].into_iter().flatten();
+    let sections: u64 = blocks.map(|block| section_bytes(block.len() as u64)).sum();
+    if sections > 0 { SECTION_COUNT_BYTES + sections } else { 0 }
 }
 
 /// Returns a file without a fit if all pixels have the same colour. Returns `None` for other pictures, if the options
 /// exclude such a file, or if it would be larger than `size`.
 fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result<Option<Outcome>> {
     let options = session.options();
-    let is_wanted =
-        may_leave_out(options) && session.blank().blend == Blend::Normalized && options.target != Target::Primitives(0);
+    let is_wanted = constant::is_possible(options, session.blank().blend) && options.target != Target::Primitives(0);
     if !is_wanted {
         return Ok(None);
     }
@@ -112,7 +142,12 @@ fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result
     }
     session.report().note(SkipReason::Fit, 0, 0.0);
     let float_error = session.fitted_error(&splats)?;
-    Ok(Some(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 }))
+    let quality = match session.options().target {
+        #[cfg(feature = "quality-hook")]
+        Target::Quality(_) => Some(session.score(&splats)?),
+        _ => None,
+    };
+    Ok(Some(Outcome { bytes, splats, float_error, quality, pruned_bytes: 0 }))
 }
 
 /// Curve, goal and time limit of a search.
@@ -132,8 +167,6 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     is_close: impl Fn(&S, f64, &Outcome) -> bool,
 ) -> Result<(f64, Outcome)> {
     let raw = session.samples();
-    // The search varies the bytes of the picture. The bytes of the metadata are added to each size.
-    let metadata = metadata_bytes(session)?;
     let share = session.clock().left().map(|time| time / plan.timed_parts);
     let required = plan.goal.required;
     let mut search = Search::new(plan.curve, plan.goal);
@@ -143,7 +176,7 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
         if best.is_some() && session.clock().left() < share.map(|share| share + share / 2) {
             break;
         }
-        let outcome = session.at_size(Size::Bytes(metadata + (raw * size.strict_exp2()) as u64), share)?;
+        let outcome = session.at_size(Size::Bytes((raw * size.strict_exp2()) as u64), share)?;
         let found = score(session, &outcome)?;
         search.note(size, found);
         let is_done = is_close(session, found, &outcome);
@@ -161,7 +194,7 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     Ok(best.expect("one try at least"))
 }
 
-/// Minimum size that a search tries, bytes without metadata.
+/// Minimum size that a search tries, bytes.
 const MIN_TRIED_BYTES: f64 = 64.0;
 /// Maximum size that a search tries, as a multiple of the raw bytes. Noise takes more than the raw bytes.
 const MAX_TRIED: f64 = 2.0;

@@ -2,12 +2,10 @@
 
 use super::search::{Curve, ScoreGoal, Try};
 use super::{SearchPlan, smallest};
-use crate::bitstream::{self, splats::PackedSplats};
+use crate::bitstream;
 use crate::encode::drawn::own_limits;
 use crate::encode::session::{EncodeSession, Outcome};
-use crate::error::{Error, Result};
-use crate::parameter::Parameter;
-use crate::ssimulacra2::MIN_SIDE;
+use crate::error::Result;
 
 /// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
 const MAX_TRIES: usize = 6;
@@ -64,12 +62,6 @@ impl Curve for Points {
 
 /// Encodes to a SSIMULACRA2 score of `wanted` points.
 pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
-    let &PackedSplats { width, height, .. } = session.blank();
-    if width.min(height) < MIN_SIDE {
-        let problem =
-            format!("SSIMULACRA2 needs sides of at least {MIN_SIDE} pixels; the picture has {width} × {height}");
-        return Err(Error::Parameter { parameter: Parameter::Quality, problem });
-    }
     let sizes = super::sizes_tried(session.samples());
     let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
     let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS };

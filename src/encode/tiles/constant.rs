@@ -1,4 +1,4 @@
-//! Detection of pictures of a single colour that are read in tiles. As for whole pictures, they need no fit.
+//! Single colours of pictures that are read in tiles.
 
 use super::grid::Window;
 use crate::encode::constant::is_constant;
@@ -6,6 +6,22 @@ use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
 use crate::pixel_source::PixelSource;
 use crate::rect::Rect;
+
+/// Returns the mean colour of the picture of `source`, which `tiles` cover.
+pub(super) fn mean(
+    source: &dyn PixelSource,
+    tiles: &[Window],
+    on_progress: &mut dyn FnMut(f32) -> Result<()>,
+) -> Result<[f32; 4]> {
+    let (mut sum, mut area) = ([0.0f64; 4], 0.0);
+    for (i, tile) in tiles.iter().enumerate() {
+        on_progress(i as f32 / tiles.len() as f32)?;
+        let mean = Planes::new(&source.part(tile.core.bounds())?).mean;
+        sum = std::array::from_fn(|k| sum[k] + f64::from(mean[k]) * tile.core.pixels());
+        area += tile.core.pixels();
+    }
+    Ok(sum.map(|v| (v / area) as f32))
+}
 
 /// Returns the colour of a picture whose pixels are all equal. Reads `tiles`, which together cover the picture of
 /// `source`, until two pixels differ. Calls `on_progress` with the fraction that is done.

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use super::grid::{Area, Window};
-use crate::bitstream::splats::{Metadata, PackedSplats};
+use crate::bitstream::splats::PackedSplats;
 use crate::encode::device::Choice;
 use crate::error::Result;
 use crate::fit::model::objective::masking::{self, Means};
@@ -147,8 +147,7 @@ impl<'a> GlobalContext<'a> {
 
     /// Returns the file of `area` without primitives.
     pub(super) fn draft(&self, area: &Area) -> PackedSplats {
-        let metadata = Metadata::default();
-        PackedSplats { width: area.size[0], height: area.size[1], metadata, ..self.blank.clone() }
+        PackedSplats { width: area.size[0], height: area.size[1], ..self.blank.clone() }
     }
 
     /// Returns the number of primitives for a part of the picture, based on its detail and its area.

@@ -23,7 +23,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::clock::Clock;
-use super::constant::constant;
+use super::constant::{constant, is_possible};
 use super::device::{Choice, Chosen};
 use super::drawn::drawn_part;
 use super::hidden::InpaintedSource;
@@ -41,7 +41,7 @@ use super::skipped::SkipReason;
 use super::workers::Executor;
 use super::{DEFAULT_TILE_SIDE, Encoded};
 use crate::bitstream;
-use crate::bitstream::splats::{Metadata, PackedSplats};
+use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::objective::planes::Planes;
@@ -49,7 +49,7 @@ use crate::fit::model::problem::Scene;
 use crate::fit::plan::fraction;
 use crate::gaussian::{Blend, Channels};
 use crate::instant::Instant;
-use crate::options::{EncodeOptions, HiddenColors, Recipe};
+use crate::options::{Detail, EncodeOptions, Recipe};
 use crate::parallel;
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
@@ -58,7 +58,8 @@ use crate::quantize::Quantizer;
 use crate::round::rounded;
 use crate::round::size::Size;
 #[cfg(feature = "quality-hook")]
-use crate::ssimulacra2::{MIN_SIDE, ssimulacra2};
+use crate::ssimulacra2::ssimulacra2;
+use crate::used_range::UsedRange;
 use floats::OnProgress;
 use global::{GlobalContext, Survey, TileSettings};
 use grid::{Grid, Shift, UNIT, Window};
@@ -108,12 +109,57 @@ pub(super) fn encode(
     if let Some(reason) = left_out {
         report.note(reason, 0, 0.0);
     }
-    report.stage("survey", start);
     let blend = options.blend.unwrap_or(Blend::Normalized);
+    let may_be_flat = is_possible(options, blend) && narrowed.channels().alpha().is_none();
+    let range = if may_be_flat && options.detail != Detail::Off {
+        narrow_range(&narrowed, &windows, || report.stage_progress("survey", 0.0))?
+    } else {
+        None
+    };
+    if let Some(range) = range {
+        report.note(SkipReason::Contrasts { levels: range.levels() }, 0, 0.0);
+    }
+    report.stage("survey", start);
     let blank = input::empty(source.size(), (narrowed.channels(), source.depth()), blend, options);
     let kept = None;
     let fitted_source = &narrowed;
-    run(TiledSession { options, source, fitted_source, device, side, blank, windows, executor, clock, report, kept })
+    let is_narrow = range.is_some();
+    run(TiledSession {
+        options,
+        source,
+        fitted_source,
+        device,
+        side,
+        blank,
+        windows,
+        is_narrow,
+        executor,
+        clock,
+        report,
+        kept,
+    })
+}
+
+/// Returns the range of the samples of `source` if it is narrow. Reads `tiles`, which together cover the picture, and
+/// calls `on_progress` for each of them.
+fn narrow_range(
+    source: &dyn PixelSource,
+    tiles: &[Window],
+    mut on_progress: impl FnMut() -> Result<()>,
+) -> Result<Option<UsedRange>> {
+    let mut range: Option<UsedRange> = None;
+    if source.depth() == Depth::Eight {
+        return Ok(None);
+    }
+    for tile in tiles {
+        on_progress()?;
+        let Some(found) = UsedRange::of(&source.part(tile.core.bounds())?) else { continue };
+        range = Some(range.map_or(found, |range| range.and(found)));
+        if range.and_then(UsedRange::if_narrow).is_none() {
+            return Ok(None);
+        }
+    }
+    Ok(range)
 }
 
 /// Returns an error if `options` ask for something that tiles do not support.
@@ -151,6 +197,8 @@ struct TiledSession<'a, 'b, 'c> {
     blank: PackedSplats,
     /// The tiles. The picture is also measured tile by tile.
     windows: Vec<Window>,
+    /// Whether the range of the samples is so narrow that the picture is one colour with a detail layer.
+    is_narrow: bool,
     executor: Executor<'c>,
     clock: Clock,
     report: ReportBuilder<'a>,
@@ -195,6 +243,19 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
 
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
         let Size::Bytes(max_bytes) = size else { return self.gaussians(0, [size; 2], share) };
+        if self.is_narrow {
+            let on_progress = &mut |_| Ok(());
+            let color = constant::mean(self.fitted_source, &self.windows, on_progress)?;
+            let mut splats = self.blank.clone();
+            constant(&mut splats, color);
+            let bytes = self.file(&splats)?;
+            let (needed, float_error) = (bytes.len() as u64, self.fitted_error(&splats)?);
+            if needed > max_bytes {
+                return Err(self.too_small(max_bytes, needed));
+            }
+            let base = Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 };
+            return layered_in_parts(self, self.fitted_source, base, max_bytes);
+        }
         let fixed = self.fixed()?;
         let area = self.fitted_source.size().map(u64::from).iter().product();
         let Some(budget) = base_without_texture(self.options, area, self.samples(), max_bytes.saturating_sub(fixed))
@@ -252,11 +313,8 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
         for (i, window) in self.windows.iter().enumerate() {
             self.report.stage_progress("measure", i as f32 / self.windows.len() as f32)?;
             let core = &window.core;
-            if core.size[0].min(core.size[1]) < MIN_SIDE {
-                continue;
-            }
             let drawn = drawn_part(&wide, core.bounds(), wide.depth)?;
-            let score = ssimulacra2(&self.source.part(core.bounds())?, &drawn)?.expect("the sides were checked");
+            let score = ssimulacra2(&self.source.part(core.bounds())?, &drawn)?;
             (sum, area) = (sum + score * core.pixels(), area + core.pixels());
         }
         Ok(sum / area)
@@ -269,7 +327,7 @@ impl TiledSession<'_, '_, '_> {
         let clock = self.report.seconds();
         let report = &mut self.report;
         let on_progress = &mut |done| report.stage_progress("measure", done);
-        let error = squared_error((source, self.options.hidden), &self.windows, splats, on_progress)?;
+        let error = squared_error(source, &self.windows, splats, on_progress)?;
         self.report.stage("measure", clock);
         Ok(error)
     }
@@ -281,8 +339,7 @@ impl TiledSession<'_, '_, '_> {
         let has_layer = size != limit;
         let (options, fitted_source) = (self.options, self.fitted_source);
         let fixed = self.fixed()?;
-        let metadata = self.blank.metadata.clone();
-        let blank = PackedSplats { metadata: Metadata::default(), ..self.blank.clone() };
+        let blank = self.blank.clone();
         let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background: [0.0; 4] };
         let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
         let small = Shrunk::new(fitted_source, by, options.hidden);
@@ -307,7 +364,7 @@ impl TiledSession<'_, '_, '_> {
         let global = survey.of((&small, self.device), &fitted_grid.windows(), on_progress)?;
         report.stage("survey", clock);
         let until = time.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
-        let mut fit = TiledFit { session: self, grid: fitted_grid, global, metadata, size, limit, fixed, until };
+        let mut fit = TiledFit { session: self, grid: fitted_grid, global, size, limit, fixed, until };
         let to_gaussian = |p: &Primitive| p.to_gaussian();
         let mut floats = Mosaic::new(&fitted_grid, &to_gaussian);
         let error = fit.fit(&mut floats)?;
@@ -320,9 +377,10 @@ impl TiledSession<'_, '_, '_> {
     }
 }
 
-/// Returns the squared error between a picture that is read in parts and the stored picture.
+/// Returns the squared error between a picture that is read in parts and the stored picture, weighted as
+/// [`metrics::psnr`](crate::metrics::psnr) does.
 fn squared_error(
-    (source, hidden): (&dyn PixelSource, HiddenColors),
+    source: &dyn PixelSource,
     parts: &[Window],
     splats: &PackedSplats,
     on_progress: OnProgress<'_>,
@@ -331,7 +389,7 @@ fn squared_error(
     for (i, part) in parts.iter().enumerate() {
         on_progress(i as f32 / parts.len() as f32)?;
         let area = part.core.bounds();
-        let wanted = Planes::with_hidden(&source.part(area)?, hidden);
+        let wanted = Planes::new(&source.part(area)?);
         // The rounding error of 16 bits is smaller than any error worth reporting.
         error += error_between(&wanted, &Planes::new(&drawn_part(splats, area, Depth::Sixteen)?));
     }
@@ -343,7 +401,6 @@ struct TiledFit<'s, 'a, 'b, 'c, 'g> {
     session: &'s mut TiledSession<'a, 'b, 'c>,
     grid: Grid,
     global: GlobalContext<'g>,
-    metadata: Metadata,
     /// Requested size of the file with the Gaussians alone.
     size: Size,
     /// Size that the file must not exceed.
@@ -522,8 +579,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
             return Ok(());
         }
         let start = Instant::now();
-        let source = (self.global.source, self.session.options.hidden);
-        let error = squared_error(source, &self.grid.windows(), splats, &mut |_| Ok(()))?;
+        let error = squared_error(self.global.source, &self.grid.windows(), splats, &mut |_| Ok(()))?;
         let psnr = decibels(error, samples_of(splats));
         self.session.report.tracer.add(stage, psnr, splats.gaussians.len(), start);
         Ok(())

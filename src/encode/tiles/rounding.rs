@@ -29,7 +29,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         let (is_base, limit) = (self.global.settings.is_base, self.limit);
         let size = if is_base { Size::Free } else { self.size };
         let sweeps = self.global.plan().sweeps.max(MIN_SWEEPS);
-        let schedule = SizeSchedule { size, sweeps, descends: true, deadline: self.until };
+        let schedule = SizeSchedule { size, sweeps, descends: true, enough: 0.0, deadline: self.until };
         let progress = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
         let (fit, shift) = (&mut self, Shift::None);
         let mut integers = TiledIntegers { fit, mosaic, progress, shift, candidates: None, error: None, length: None };
@@ -76,9 +76,8 @@ impl TiledIntegers<'_, '_, '_, '_, '_, '_, '_> {
     }
 
     fn splats(&self) -> PackedSplats {
-        let TiledFit { metadata, global, .. } = &*self.fit;
         let gaussians = self.mosaic.all().map(|p| p.primitive).collect();
-        PackedSplats { gaussians, metadata: metadata.clone(), ..global.blank.clone() }
+        PackedSplats { gaussians, ..self.fit.global.blank.clone() }
     }
 
     /// Runs `work` on all tiles, none of which depends on another. Returns the results.

@@ -2,7 +2,7 @@
 
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
-use crate::gaussian::Blend;
+use crate::gaussian::{Blend, CUTOFF_WEIGHT, Gaussian};
 use crate::strict_math::StrictMath;
 
 /// Number of pixels from which on a picture counts as large. Smaller pictures are fast enough to process completely.
@@ -40,6 +40,15 @@ impl Scene {
         let typical = self.typical_scale(count);
         (f32::min(0.9 * typical, 1.6 * typical.strict_powf(0.6)) as u32).clamp(1, 16).min(self.height)
     }
+}
+
+/// Returns how many of `gaussians` cover a pixel of the picture in the mean. It is an upper estimate, because parts of
+/// their support outside the picture count.
+pub(crate) fn overlap(scene: &Scene, gaussians: &[Gaussian]) -> f32 {
+    // The area of an ellipse where the weight is that of the cutoff.
+    let unit = -2.0 * std::f32::consts::PI * CUTOFF_WEIGHT.strict_ln();
+    let area = scene.pixels() as f32;
+    gaussians.iter().map(|g| (unit * g.scale[0] * g.scale[1]).min(area)).sum::<f32>() / area
 }
 
 /// A target picture, and how primitives are rendered.

@@ -27,7 +27,7 @@ pub(in crate::gpu) fn importance_of_channels(scene: &Uniforms, wanted: [f32; 4])
     if scene.alpha == 3 {
         opacity = wanted[3];
     }
-    let mut share = [opacity; 4];
+    let mut share = [opacity.sqrt(); 4];
     if scene.alpha == 1 {
         share[1] = 1.0;
     }
@@ -66,11 +66,12 @@ pub(in crate::gpu) fn forward(
                 value = std::array::from_fn(|k| sums.color[k] + scene.background[k]);
             }
             let share = importance_of_channels(scene, wanted);
-            let a = match scene.mode {
+            let mut a = match scene.mode {
                 0 => scene.channel_amplitude.map(|c| c * amplitude(scene, source, x, y)),
                 _ => [1.0; 4],
             };
-            let e: [f32; 4] = std::array::from_fn(|k| (value[k].clamp(0.0, 1.0) - wanted[k]) * (share[k] * a[k]));
+            a = std::array::from_fn(|k| a[k] * share[k]);
+            let e: [f32; 4] = std::array::from_fn(|k| (value[k].clamp(0.0, 1.0) - wanted[k]) * a[k]);
             out.errors[scene.tile_base as usize + tile] += dot(e, e);
             let at = (row * scene.width + x) as usize;
             if scene.mode == 0 {

@@ -1,7 +1,7 @@
 //! Twin of `importance.wgsl`.
 
 use super::common::{CUTOFF_WEIGHT, SUPPORT, sampled_row};
-use super::forward::{amplitude, dot};
+use super::forward::{amplitude, dot, importance_of_channels, source_pixel};
 use super::pair::{area_of, span, tile_of};
 use crate::gpu::scene::{Splat, Uniforms};
 
@@ -17,9 +17,6 @@ pub(in crate::gpu) fn importance(
     for pair in 0..starts[scene.tiles() as usize] {
         let splat = &splats[sorted[pair as usize] as usize];
         let area = area_of(scene, tile_of(scene, starts, pair));
-        let used = |v: [f32; 4]| -> [f32; 4] {
-            std::array::from_fn(|k| if (k as u32) < scene.channels { v[k] * scene.channel_amplitude[k] } else { 0.0 })
-        };
         let mut cost = 0.0;
         for row in area[2]..area[3] {
             let y = sampled_row(scene, scene.band_first + row);
@@ -34,6 +31,10 @@ pub(in crate::gpu) fn importance(
                     let at = (row * scene.width + x) as usize;
                     let w = ((-q).exp2() - CUTOFF_WEIGHT).max(0.0);
                     let mut share = w;
+                    let counts = importance_of_channels(scene, source_pixel(scene, source, x, y));
+                    let used = |v: [f32; 4]| -> [f32; 4] {
+                        std::array::from_fn(|k| v[k] * (counts[k] * scene.channel_amplitude[k]))
+                    };
                     let mut distance = used(splat.color);
                     if scene.blend == 0 {
                         share = (w / ((tails[at] - w).max(0.0) + 0.02)).min(20.0);

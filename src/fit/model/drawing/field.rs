@@ -12,6 +12,7 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
+use crate::weighting::RowWeights;
 
 /// Sampled rows per band. Bands are the unit of parallel work.
 const BAND: usize = 32;
@@ -224,19 +225,17 @@ pub fn error_within(
     output: Output,
 ) -> f64 {
     let Problem { target, .. } = *problem;
-    let (count, alpha) = (target.channels.count(), target.opacity);
+    let count = target.channels.count();
     let row_size = (count + 1) * target.stride;
     Field::default().sum_of_bands(problem, projected, Output::Picture, lines.clone(), &|_, first, planes| {
         let mut error = 0.0;
         for (y, drawn) in (first as u32..).zip(planes.chunks_exact(row_size)).filter(|(y, _)| lines.contains(y)) {
             let wanted = target.row(y);
-            let (amplitude, channels) = amplitudes(target, y, output);
+            let weights = weights(target, y, output);
             for k in 0..count {
                 let of = |x: usize| {
                     let at = k * target.stride + x;
-                    let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
-                    let weight = opacity * amplitude.map_or(1.0, |a| a[x]) * channels[k];
-                    f64::from((drawn[at].clamp(0.0, 1.0) - wanted[at]) * weight).powi(2)
+                    f64::from((drawn[at].clamp(0.0, 1.0) - wanted[at]) * weights.factor(k, x)).powi(2)
                 };
                 error += columns.clone().map(of).sum::<f64>();
             }
@@ -326,24 +325,19 @@ impl<const C: usize> Task for BandTask<'_, C> {
         for i in 0..count {
             let y = rows.row(first + i);
             let row = &mut band[i * row_size..][..row_size];
-            let alpha = target.opacity;
-            let amplitudes = amplitudes(target, y, output);
-            error += resolve_row::<S, C>(simd, scene, (target.row(y), alpha, amplitudes), (row, stride), output);
+            let weights = weights(target, y, output);
+            error += resolve_row::<S, C>(simd, scene, (target.row(y), weights), (row, stride), output);
         }
         error
     }
 }
 
-/// Factors of the errors before they are squared: one per pixel of a row, and one per channel.
-type Amplitudes<'a> = (Option<&'a [f32]>, [f32; 4]);
-
-/// Returns the factors of the errors in row `y` before they are squared, per pixel and per channel. For
-/// [`Output::Picture`] they are 1.
+/// Returns the weights of the errors in row `y`. For [`Output::Picture`] they do not depend on the tuning.
 #[inline(always)]
-fn amplitudes(target: &Planes, y: u32, output: Output) -> Amplitudes<'_> {
+fn weights(target: &Planes, y: u32, output: Output) -> RowWeights<'_> {
     match output {
-        Output::Picture => (None, [1.0; 4]),
-        Output::Gradient | Output::Sums => (target.amplitude(y), target.channel_amplitude),
+        Output::Picture => target.untuned_weights(y),
+        Output::Gradient | Output::Sums => target.weights(y),
     }
 }
 
@@ -352,7 +346,7 @@ fn amplitudes(target: &Planes, y: u32, output: Output) -> Amplitudes<'_> {
 fn resolve_row<S: Simd, const C: usize>(
     simd: S,
     scene: &Scene,
-    (target, alpha, (amplitude, channels)): (&[f32], Option<usize>, Amplitudes<'_>),
+    (target, row_weights): (&[f32], RowWeights<'_>),
     (row, stride): (&mut [f32], usize),
     output: Output,
 ) -> f64 {
@@ -376,18 +370,17 @@ fn resolve_row<S: Simd, const C: usize>(
             };
             let v = simd.mul(simd.add(simd.read(colors), simd.splat(b)), inv);
             let clamped = simd.min(simd.max(v, zero), one);
-            let counts = simd.splat(channels[k]);
+            let counts = simd.splat(row_weights.channels[k]);
+            let factor = row_weights.pixels(simd, k, x);
             let mut e = simd.mul(simd.sub(clamped, simd.read(&target[k * stride + x..])), counts);
-            if let Some(a) = alpha.filter(|&a| a != k) {
-                e = simd.mul(e, simd.read(&target[a * stride + x..]));
-            }
             e = simd.keep_above(e, limit, simd.index());
-            if let Some(a) = amplitude {
-                e = simd.mul(e, simd.read(&a[x..]));
+            if let Some(factor) = factor {
+                e = simd.mul(e, factor);
             }
             error = simd.add(error, simd.mul(e, e));
-            if let Some(a) = amplitude {
-                e = simd.mul(e, simd.read(&a[x..]));
+            // The factor of the derivative as well.
+            if let Some(factor) = factor {
+                e = simd.mul(e, factor);
             }
             let left = match output {
                 Output::Picture | Output::Sums => v,
@@ -515,6 +508,7 @@ mod tests {
     use crate::fit::model::objective::planes::Planes;
     use crate::gaussian::Channels;
     use crate::pixels::{Pixels, Samples};
+    use crate::weighting::cases;
 
     #[test]
     fn the_error_is_the_same_with_and_without_keeping_the_drawing() {
@@ -541,6 +535,46 @@ mod tests {
                 assert_eq!(Field::default().error(&problem, &projected, output), kept);
                 assert!(kept > 0.0);
             }
+        }
+    }
+
+    #[test]
+    fn errors_are_weighted_sums_over_all_samples() {
+        let (width, height) = (45u32, 2 * BAND as u32 + 5);
+        for case in cases::all(width, height) {
+            let (target, count) = (&case.target, case.target.channels.count());
+            let scene = Scene { width, height, blend: case.blend, background: target.mean };
+            let problem = Problem { scene, target };
+            let projected: Vec<Projected> = (0..40u32)
+                .map(|i| {
+                    let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+                    let (mean, color) = ([45.0 * f(2), 53.0 * f(3)], [f(5), f(7), f(11), f(13)].map(|c| 0.3 * c));
+                    let p = Primitive { mean, log_scale: [2.0 * f(17), f(19)], rotation: 3.0 * f(23), color };
+                    Projected::new(&p, height)
+                })
+                .collect();
+            let mut drawn = Field::default();
+            drawn.draw(&problem, &projected, RowSet::ALL, Output::Picture);
+            let error = |weights: &[f64], [left, right]: [usize; 2]| -> f64 {
+                let samples = (0..weights.len()).filter(|i| (left..right).contains(&(i / count % width as usize)));
+                samples
+                    .map(|i| {
+                        let (pixel, k) = (i / count, i % count);
+                        let (x, y) = (pixel % width as usize, pixel / width as usize);
+                        let v = drawn.row(y, count)[k * target.stride + x].clamp(0.0, 1.0);
+                        weights[i] * (f64::from(v) - case.values[i]).powi(2)
+                    })
+                    .sum()
+            };
+            let all = [0, width as usize];
+            // Sums of a few thousand squares in f32.
+            let near =
+                |found: f64, want: f64| assert!((found / want - 1.0).abs() < 1e-4, "{}: {found} {want}", case.name);
+            near(Field::default().error(&problem, &projected, Output::Picture), error(&case.untuned, all));
+            near(Field::default().error(&problem, &projected, Output::Gradient), error(&case.weights, all));
+            let part = (5..31usize, 0..height);
+            near(error_within(&problem, &projected, part.clone(), Output::Picture), error(&case.untuned, [5, 31]));
+            near(error_within(&problem, &projected, part, Output::Gradient), error(&case.weights, [5, 31]));
         }
     }
 }

@@ -86,7 +86,7 @@ impl Loss {
         let (absolute, slopes) = (self.absolute, &self.slopes);
         parallel::map_chunks(&mut field.planes, size, |y, row| {
             let (colors, weights) = row.split_at_mut(channels * stride);
-            let truth = target.row(y as u32);
+            let (truth, row_weights) = (target.row(y as u32), target.untuned_weights(y as u32));
             for (x, weight) in weights.iter_mut().enumerate().take(width) {
                 let inverse = match scene.blend {
                     Blend::Normalized => 1.0 / (*weight + EPSILON),
@@ -95,7 +95,7 @@ impl Loss {
                 let mut h = 0.0;
                 for k in 0..channels {
                     let (v, t) = (colors[k * stride + x], truth[k * stride + x]);
-                    let opacity = target.opacity.filter(|&a| a != k).map_or(1.0, |a| truth[a * stride + x]);
+                    let opacity = row_weights.factor(k, x).powi(2);
                     let sign = if v == t { 0.0 } else { (v - t).signum() };
                     let slope = absolute * sign - (1.0 - absolute) * slopes[k][y * width + x];
                     let g = if (0.0..=1.0).contains(&v) { slope * opacity * inverse } else { 0.0 };

@@ -7,6 +7,7 @@ use crate::options::HiddenColors;
 use crate::parallel;
 use crate::pixels::Pixels;
 use crate::simd::LANES;
+use crate::weighting::{self, RowWeights};
 
 /// Rows of `channels` planes. Each plane's row has `stride` floats: `width` samples, then zeros.
 #[derive(Debug, Clone)]
@@ -39,10 +40,7 @@ impl Planes {
 
     /// Returns the planes of `pixels`. `hidden` determines whether colours under alpha 0 count.
     pub fn with_hidden(pixels: &Pixels, hidden: HiddenColors) -> Self {
-        match hidden {
-            HiddenColors::Continue => Planes::new(pixels),
-            HiddenColors::Keep => Planes::weighted_by(pixels, None),
-        }
+        Planes::weighted_by(pixels, weighting::opacity_channel(pixels.channels(), hidden))
     }
 
     fn weighted_by(pixels: &Pixels, opacity: Option<usize>) -> Self {
@@ -162,6 +160,31 @@ impl Planes {
     #[inline(always)]
     pub fn amplitude(&self, y: u32) -> Option<&[f32]> {
         self.amplitude.get(y as usize * self.stride..)?.get(..self.stride)
+    }
+
+    /// Returns the weights of the errors in row `y`.
+    #[inline(always)]
+    pub(crate) fn weights(&self, y: u32) -> RowWeights<'_> {
+        let (amplitude, channels) = (self.amplitude(y), self.channel_amplitude);
+        RowWeights { amplitude, channels, ..self.untuned_weights(y) }
+    }
+
+    /// Returns the weights of the errors in row `y` without those of the tuning.
+    #[inline(always)]
+    pub(crate) fn untuned_weights(&self, y: u32) -> RowWeights<'_> {
+        let opacity = self.opacity.map(|a| (a, &self.row(y)[a * self.stride..][..self.stride]));
+        RowWeights { opacity, amplitude: None, channels: [1.0; 4] }
+    }
+
+    /// Returns the same picture without the weights of the tuning.
+    pub(crate) fn untuned(&self) -> Planes {
+        Planes { channel_amplitude: [1.0; 4], ..self.weighed(Vec::new()) }
+    }
+
+    /// Returns the same picture with the weights of [`metrics::psnr`](crate::metrics::psnr), whether hidden colours are
+    /// kept or not.
+    pub(crate) fn as_shown(&self) -> Planes {
+        Planes { opacity: self.channels.alpha(), ..self.untuned() }
     }
 
     /// Returns whether the weights of all pixels are equal within 1 %, so that weighting has no effect.

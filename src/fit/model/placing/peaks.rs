@@ -189,28 +189,23 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cell
     (cells.width, cells.height, cells.each) = (width, height, each);
     cells.values.resize(width * height * each, 0.0);
     parallel::map_chunks(&mut cells.values, (width * each).max(1), |i, out| {
-        let (wanted, amplitude) = (target.row(rows.row(i)), target.amplitude(rows.row(i)));
-        let opaque = target.opacity.map(|a| (a, &wanted[a * target.stride..][..length]));
+        let (wanted, weights) = (target.row(rows.row(i)), target.weights(rows.row(i)));
         let found = field.row(i, channels);
-        let opacity = |k: usize| opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
         if (step, channels) == (1, 3) {
             let planes =
                 std::array::from_fn(|k| [&wanted[k * target.stride..][..length], &found[k * field.stride..][..length]]);
-            let [r, g, b, _] = target.channel_amplitude;
-            return simd::dispatch(ResidualTask { planes, shares: [r, g, b], amplitude, out });
+            let [r, g, b, _] = weights.channels;
+            return simd::dispatch(ResidualTask { planes, shares: [r, g, b], amplitude: weights.amplitude, out });
         }
         out.fill(0.0);
         for k in 0..channels {
-            let share = share * target.channel_amplitude[k];
             let t = &wanted[k * target.stride..][..length];
             let v = &found[k * field.stride..][..length];
-            let opacity = opacity(k);
             let parts = t.chunks(step).zip(v.chunks(step)).zip(out.chunks_exact_mut(each));
             for (cell, ((t, v), out)) in parts.enumerate() {
                 for (x, (t, v)) in t.iter().zip(v).enumerate() {
                     let x = cell * step + x;
-                    let weight = opacity.map_or(share, |o| o[x] * share) * amplitude.map_or(1.0, |a| a[x]);
-                    out[k] += (t - v.clamp(0.0, 1.0)) * weight;
+                    out[k] += (t - v.clamp(0.0, 1.0)) * (share * weights.factor(k, x));
                 }
             }
         }
@@ -412,4 +407,33 @@ pub(crate) fn at_peak(peak: &Peak, problem: &Problem<'_>) -> Primitive {
         }
     };
     Primitive { mean: peak.mean, log_scale: peak.scale.map(|s| s.max(0.5).strict_ln()), rotation: peak.rotation, color }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::model::drawing::field::Output;
+    use crate::fit::model::drawing::project::Projected;
+    use crate::weighting::cases;
+
+    #[test]
+    fn residuals_are_weighted_as_errors_are() {
+        let (width, height) = (37u32, 21u32);
+        for case in cases::all(width, height) {
+            let (target, count) = (&case.target, case.target.channels.count());
+            let scene = Scene { width, height, blend: case.blend, background: [0.4; 4] };
+            let problem = Problem { scene, target };
+            let mut field = Field::default();
+            field.draw(&problem, &[] as &[Projected], RowSet::ALL, Output::Picture);
+            let mut cells = Cells::default();
+            residual(&problem, &field, RowSet::ALL, &mut cells);
+            for (i, (value, weight)) in case.values.iter().zip(&case.weights).enumerate() {
+                let (pixel, k) = (i / count, i % count);
+                let found = f64::from(cells.values[pixel * cells.each + k]);
+                let drawn = field.row(pixel / width as usize, count)[k * target.stride + pixel % width as usize];
+                let want = (value - f64::from(drawn)) * weight.sqrt();
+                assert!((found - want).abs() < 1e-6, "{}, sample {i}: {found} {want}", case.name);
+            }
+        }
+    }
 }
