@@ -392,16 +392,6 @@ fn workers_know_about_the_detail_layer() {
 }
 
 #[test]
-fn processing_a_tile_twice_gives_the_same_result() {
-    let pixels = picture(200, 140, Channels::Rgb);
-    let mut workers = Elsewhere::new(2, &|_, answer| answer);
-    encode_by(&pixels, &options(Target::Bytes(1000), Some(128)), &mut workers).unwrap();
-    for task in workers.given.iter().step_by(3) {
-        assert!(work_on(task).unwrap() == work_on(task).unwrap());
-    }
-}
-
-#[test]
 fn an_invalid_answer_names_its_tile() {
     let pixels = picture(300, 200, Channels::Grey);
     let options = options(Target::Bytes(700), Some(128));
