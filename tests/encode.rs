@@ -351,9 +351,9 @@ fn a_time_budget_covers_all_tries() {
 
 #[test]
 fn the_report_tells_which_effort_a_time_limit_allowed() {
-    let pixels = picture(270, 60, Channels::Rgb);
+    let pixels = picture(300, 100, Channels::Rgb);
     for tiles in [None, Some(256)] {
-        let mut options = quick(Target::Bytes(4800));
+        let mut options = quick(Target::Bytes(9000));
         (options.effort, options.tiles) = (3, tiles);
         for (time, effort) in [(Some(Duration::ZERO), 1), (Some(Duration::from_secs(3600)), 3), (None, 3)] {
             options.time = time;
