@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Encodes a folder of pictures, or any fsspec URL, on a Ray cluster, and writes a manifest in Parquet.
 
-    pip install 'ssplat[ray]'
+    pip install 'ssplat[ray]'        # before the release, build the wheel: README.md, section "Install"
     python examples/ray_encode.py photos/ encoded/ --ratio 50
     python examples/ray_encode.py s3://bucket/photos s3://bucket/encoded --address auto
 

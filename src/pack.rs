@@ -19,7 +19,7 @@ use crate::quantize::Quantizer;
 use crate::target::Target;
 
 /// Step sizes from the coarsest to the finest: scale, angle, position, luma and chroma, in the order of [`Steps`]. The
-/// encoder uses those in the middle for 24 to 41 dB.
+/// encoder uses similar ones for 24 to 41 dB: levels 2 to 5, and one between levels 3 and 4.
 const LADDER: [[u8; 5]; 10] = [
     [9, 2, 3, 9, 2],
     [6, 1, 4, 7, 1],

@@ -27,8 +27,8 @@ fn crop(left: u32, top: u32, side: u32) -> Pixels {
 fn hard_pictures() -> Vec<(&'static str, Pixels)> {
     vec![
         ("grey noise of 16 × 16", noise(16, Channels::Grey)),
-        ("noise of 48 × 48", noise(48, Channels::Rgb)),
-        ("checkerboard of 64 × 64", checkerboard(64)),
+        ("noise of 32 × 32", noise(32, Channels::Rgb)),
+        ("checkerboard of 32 × 32", checkerboard(32)),
         ("crop of 24 × 24", crop(300, 200, 24)),
         ("crop of 32 × 32", crop(500, 140, 32)),
     ]

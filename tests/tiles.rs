@@ -115,16 +115,16 @@ fn uncoded_layouts_are_written_in_tiles_and_fill_their_size() {
 fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
     for (channels, is_grey) in [(Channels::Rgb, false), (Channels::Rgba, true)] {
         let pixels = match is_grey {
-            false => picture(700, 520, channels),
+            false => picture(420, 310, channels),
             // Grey in four channels: the fit omits chroma and alpha, but the file has them.
-            true => grey_in_colour(700, 520),
+            true => grey_in_colour(420, 310),
         };
         let mut options = options(Target::Ratio(25.0), Some(256));
         options.tune = Some(Tune::Psnr);
         let with = ssplat::unstable::encode(&pixels, &options).unwrap();
         options.detail = Detail::Off;
         let without = ssplat::unstable::encode(&pixels, &options).unwrap();
-        let most = 700 * 520 * channels.count() / 25;
+        let most = 420 * 310 * channels.count() / 25;
         assert!(with.bytes.len() <= most && with.bytes.len() >= most * 97 / 100, "{} of {most}", with.bytes.len());
         let layer = |encoded: &Encoded| {
             ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().detail
@@ -148,7 +148,7 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
 #[test]
 fn gaussians_fitted_at_reduced_size_are_as_good_at_full_size() {
     // Odd sides, so that the squares at two borders are cut off.
-    let pixels = picture(1003, 701, Channels::Rgb);
+    let pixels = picture(669, 467, Channels::Rgb);
     for tiles in [None, Some(512)] {
         let mut with_layer = options(Target::Ratio(30.0), tiles);
         (with_layer.tune, with_layer.detail) = (Some(Tune::Psnr), Detail::Share(0.02));
@@ -158,7 +158,7 @@ fn gaussians_fitted_at_reduced_size_are_as_good_at_full_size() {
         let count = base.gaussians.len();
         // Each has more than four times 300 pixels, so that half the size is fitted, and less than sixteen times as
         // many.
-        assert!((160..580).contains(&count), "{count}");
+        assert!((72..258).contains(&count), "{count}");
         let bytes = ssplat::unstable::bitstream::to_bytes(&base).unwrap();
         let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default()).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
@@ -388,16 +388,6 @@ fn workers_know_about_the_detail_layer() {
         assert!(layer.is_some(), "{tune:?}");
         let there = encode_by(&pixels, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
         assert!(here == there, "{tune:?}: {} and {} bytes", here.len(), there.len());
-    }
-}
-
-#[test]
-fn processing_a_tile_twice_gives_the_same_result() {
-    let pixels = picture(200, 140, Channels::Rgb);
-    let mut workers = Elsewhere::new(2, &|_, answer| answer);
-    encode_by(&pixels, &options(Target::Bytes(1000), Some(128)), &mut workers).unwrap();
-    for task in workers.given.iter().step_by(3) {
-        assert!(work_on(task).unwrap() == work_on(task).unwrap());
     }
 }
 

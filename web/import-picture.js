@@ -1,8 +1,8 @@
 // Shared core of the bundler plugins: turns an import such as "./photo.jpg?quality=70&ssplat" into a cached .ssplat file and the text of a module.
 import { createHash, randomUUID } from "node:crypto"
-import { mkdir, readFile, rename, rm, stat, writeFile } from "node:fs/promises"
+import { mkdir, readFile, readdir, rename, rm, stat, utimes, writeFile } from "node:fs/promises"
 import { availableParallelism, totalmem } from "node:os"
-import { join, parse, relative } from "node:path"
+import { dirname, join, parse, relative } from "node:path"
 import { SsplatError, encodeFile } from "./node.js"
 
 // Targets, which exclude each other.
@@ -59,6 +59,17 @@ async function inTurn(work) {
   }
 }
 
+// Size of the largest picture file that is read, bytes.
+const maxFile = 2 ** 30
+
+// Reads a picture, but no device, no folder and no file that is too large for a picture.
+async function contentOf(path) {
+  const facts = await stat(path)
+  if (!facts.isFile()) fail("not a file")
+  if (facts.size > maxFile) fail(`${facts.size} bytes are more than the ${maxFile} that a picture file may have`)
+  return readFile(path)
+}
+
 let version
 const packageVersion = () => version ??= readFile(new URL("./package.json", import.meta.url), "utf8").then(text => JSON.parse(text).version)
 
@@ -66,10 +77,23 @@ const packageVersion = () => version ??= readFile(new URL("./package.json", impo
 async function cached(folder, name) {
   try {
     const facts = JSON.parse(await readFile(join(folder, "facts.json"), "utf8")), file = join(folder, name)
-    return (await stat(file)).size == facts.bytes ? { file, ...facts } : undefined
+    if ((await stat(file)).size != facts.bytes) return
+    // The time of the last use, for `removeUnused`.
+    await utimes(folder, new Date(), new Date()).catch(() => {})
+    return { file, ...facts }
   } catch {
     return undefined
   }
+}
+
+// Removes entries and drafts that no build has used for this many days; once for each cache.
+const maxAge = 90, cleaned = new Set()
+async function removeUnused(cacheDir) {
+  if (cleaned.has(cacheDir)) return
+  cleaned.add(cacheDir)
+  const entries = (await readdir(cacheDir).catch(() => [])).filter(name => /^[0-9a-f]{32}(-[0-9a-f-]{36})?$/.test(name))
+  for (const entry of entries.map(name => join(cacheDir, name)))
+    if (Date.now() - (await stat(entry).catch(() => ({}))).mtimeMs > maxAge * 86_400_000) await rm(entry, { recursive: true, force: true })
 }
 
 // Encodes into a temporary folder and renames it, so that other processes never see an incomplete entry.
@@ -88,6 +112,7 @@ async function encodeInto(folder, name, content, options) {
   } finally {
     await rm(draft, { recursive: true, force: true })
   }
+  await removeUnused(dirname(folder))
   return { file: join(folder, name), ...facts }
 }
 
@@ -96,7 +121,7 @@ const underway = new Map()
 // Returns the cache entry of an import: { file, bytes, width, height, placeholder }. Calls `log` before and after an encode.
 export async function importPicture(path, query, { cacheDir, defaults }, log) {
   try {
-    const options = optionsOf(query, defaults), content = await readFile(path), name = `${parse(path).name.replace(unsafe, "-")}.ssplat`
+    const options = optionsOf(query, defaults), content = await contentOf(path), name = `${parse(path).name.replace(unsafe, "-")}.ssplat`
     const asked = JSON.stringify([await packageVersion(), name, Object.entries(options).sort(([a], [b]) => a < b ? -1 : 1)])
     const folder = join(cacheDir, createHash("sha256").update(asked).update(content).digest("hex").slice(0, 32))
     const found = await cached(folder, name)

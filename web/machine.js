@@ -68,9 +68,12 @@ export class Machine {
     if (into && !(into instanceof ArrayBuffer)) throw new SsplatError("parameter", "into is no ArrayBuffer")
     if (!layers.includes(detail)) throw new SsplatError("parameter", `detail is ${detail}, not one of ${layers.join(", ")}`)
     const part = region ? ["left", "top", "width", "height"].map((name, k) => whole(region[k] ?? region[name], `region's ${name}`, k > 1 ? 1 : 0)) : [0, 0, 0, 0]
-    if (height !== undefined && width === undefined) throw new SsplatError("parameter", "a height needs a width")
-    // For the module, 0 stands for a side that is not given.
+    // For the module, 0 stands for a side that is not given. A height alone keeps the shape of the part, as a width alone does.
     const out = [[width, "width"], [height, "height"]].map(([v, what]) => v === undefined ? 0 : whole(v, what, 1))
+    if (out[1] && !out[0]) {
+      const { width: columns, height: rows } = region ? { width: part[2], height: part[3] } : this.header(bytes, { limits: options.limits })
+      out[0] = Math.max(1, Math.round(columns * out[1] / rows))
+    }
     const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
     const [columns, rows, channels, depth, primitives, orientation, missing, missingTiles, damaged] = numbers
     const samples = new Uint8ClampedArray(data.buffer, 0, data.length)

@@ -26,9 +26,9 @@ export interface Limits {
 export interface DecodeOptions {
   /** Part of the picture, in pixels of the picture: left, top, width, height. */
   region?: [number, number, number, number] | { left: number; top: number; width: number; height: number }
-  /** Width of the output, at least 1; by default that of the part. */
+  /** Width of the output, at least 1. Without width and height, the output has the size of the part. */
   width?: number
-  /** Height of the output, at least 1, only together with a width; by default the aspect ratio is kept. */
+  /** Height of the output, at least 1. If only one of width and height is given, the aspect ratio is kept. */
   height?: number
   /** Renders the intact parts of a damaged or truncated file. */
   partial?: boolean

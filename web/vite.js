@@ -1,12 +1,38 @@
 // The plugin for Vite and Rollup: import photo from "./photo.jpg?ssplat"
-import { readFile } from "node:fs/promises"
+import { readFile, realpath } from "node:fs/promises"
+import { createRequire } from "node:module"
 import { basename, join, resolve } from "node:path"
+import { pathToFileURL } from "node:url"
+import { SsplatError } from "./error.js"
 import { importPicture, imports, moduleText, settingsOf, split } from "./import-picture.js"
+
+// Returns the Vite of the project, otherwise the one beside this package.
+async function viteOf(root) {
+  try {
+    return await import(pathToFileURL(createRequire(join(root, "package.json")).resolve("vite")).href)
+  } catch {
+    return import("vite")
+  }
+}
+
+// Tells whether Vite's development server may serve the file at `path`, by `server.fs`. Links are followed, as Vite follows them.
+async function isServed(path, server) {
+  const { isFileLoadingAllowed, isFileServingAllowed, normalizePath } = await viteOf(server.config.root)
+  const isAllowed = path => isFileLoadingAllowed ? isFileLoadingAllowed(server.config, path) : isFileServingAllowed(join("/@fs/", path), server)
+  const plain = resolve(path)
+  if (!isAllowed(normalizePath(plain))) return false
+  return server.config.resolve.preserveSymlinks || isAllowed(normalizePath(await realpath(plain).catch(() => plain)))
+}
 
 export default function ssplat(options) {
   const settings = settingsOf(options)
-  // The configuration of Vite; undefined in Rollup.
-  let config
+  // The configuration of Vite, undefined in Rollup; and its development server, undefined during a build.
+  let config, server
+  // The ids that modules of the project import. The server encodes nothing else, because anyone who reaches it, such as any page in the
+  // same browser, can request any picture with any options.
+  const imported = new Set()
+  // Code that runs on the server may import any file, as in Vite itself.
+  const isForBrowser = ({ environment }, options) => server && (environment ? environment.config.consumer == "client" : !options?.ssr)
   return {
     name: "ssplat",
     // Runs before Vite's own handling of pictures.
@@ -17,19 +43,33 @@ export default function ssplat(options) {
       settings.cacheDir = resolve(config.root, settings.cacheDir ?? join(config.cacheDir, "ssplat"))
     },
 
+    configureServer(started) {
+      server = started
+    },
+
     resolveId: {
       filter: { id: imports },
-      async handler(id, importer) {
+      async handler(id, importer, options) {
         const asked = split(id), found = asked && await this.resolve(asked.path, importer, { skipSelf: true })
-        return found ? `${found.id}?${asked.query}` : null
+        const resolved = found ? `${found.id}?${asked.query}` : null
+        if (!asked || !isForBrowser(this, options)) return resolved
+        // The importer of a request, as Vite gives it; an import in that page has a query.
+        const isRequest = !importer || resolve(importer) == resolve(config.root, "index.html")
+        if (!isRequest && resolved) imported.add(resolved)
+        // The same answer whether the file exists or not.
+        return isRequest && !imported.has(resolved) ? id : resolved
       },
     },
 
     load: {
       filter: { id: imports },
-      async handler(id) {
+      async handler(id, options) {
         const asked = split(id)
         if (!asked) return null
+        if (isForBrowser(this, options)) {
+          if (!imported.has(id)) throw new SsplatError("parameter", `${id}: not imported by a module that this server has sent`)
+          if (!await isServed(asked.path, server)) throw new SsplatError("parameter", `${asked.path}: Vite may not serve this file, see server.fs`)
+        }
         this.addWatchFile(asked.path)
         settings.cacheDir ??= resolve("node_modules/.cache/ssplat")
         const log = words => config ? config.logger.info(`ssplat: ${words}`) : this.info(words)

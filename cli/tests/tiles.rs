@@ -10,19 +10,19 @@ use ssplat::{Backend, Channels, Samples, Target};
 #[test]
 fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
     let folder = tempfile::tempdir().unwrap();
-    let pixels = waves::picture(300, 200, Channels::Rgb);
+    let pixels = waves::picture(180, 140, Channels::Rgb);
     let mut options = EncodeOptions::default();
     (options.target, options.tiles, options.effort, options.backend) =
-        (Target::Bytes(3000), Some(128), 2, Backend::Cpu);
+        (Target::Bytes(1300), Some(128), 2, Backend::Cpu);
     let Samples::U8(samples) = pixels.samples() else { panic!("8 bits") };
     let expected = ssplat::unstable::encode(&pixels, &options).unwrap().bytes;
     let [ppm, png, out] = ["a.ppm", "a.png", "a.ssplat"].map(|name| folder.path().join(name));
-    std::fs::write(&ppm, [b"P6 # a picture\n300 200\n255\n", &samples[..]].concat()).unwrap();
-    image::RgbImage::from_raw(300, 200, samples.clone()).unwrap().save(&png).unwrap();
+    std::fs::write(&ppm, [b"P6 # a picture\n180 140\n255\n", &samples[..]].concat()).unwrap();
+    image::RgbImage::from_raw(180, 140, samples.clone()).unwrap().save(&png).unwrap();
     for input in [&ppm, &png] {
         let encode = |extra: &[&str]| {
             let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
-            let arguments = ["--tiles=128", "--bytes", "3000", "--effort", "2", "--backend", "cpu", "--quiet"];
+            let arguments = ["--tiles=128", "--bytes", "1300", "--effort", "2", "--backend", "cpu", "--quiet"];
             command.arg("encode").arg(input).arg(&out).args(arguments).args(extra).output().unwrap()
         };
         let run = encode(&[]);

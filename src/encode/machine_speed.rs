@@ -51,14 +51,3 @@ impl Task for Exponentials {
         sums.iter().map(|sums| simd.sum(simd.load(sums))).sum()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn slowness_is_finite_and_at_least_1() {
-        let slowness = slowness();
-        assert!(slowness.is_finite() && slowness >= 1.0, "{slowness}");
-    }
-}

@@ -169,8 +169,8 @@ pub enum MetadataPolicy {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Precision {
-    /// `0..=`[`FINEST`](crate::pack::FINEST), from coarse to fine. The encoder uses 0 to 5. Levels above 6 enlarge the
-    /// file and change little else.
+    /// `0..=`[`FINEST`](crate::pack::FINEST), from coarse to fine. The encoder itself uses 2 to 5 and one precision
+    /// between 3 and 4. Levels above 6 enlarge the file and change little else.
     Level(u8),
     /// The given steps.
     Steps(Steps),

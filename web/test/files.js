@@ -77,8 +77,13 @@ export async function run(cases, load, decoder) {
     }
   }
   const [first] = cases, bytes = await load(first.path)
-  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"], [{ width: 0 }, "parameter"], [{ width: 8, height: 0 }, "parameter"], [{ height: 8 }, "parameter"], [{ widht: 8 }, "parameter"], [{ detail: "none" }, "parameter"]])
+  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"], [{ width: 0 }, "parameter"], [{ width: 8, height: 0 }, "parameter"], [{ height: 0 }, "parameter"], [{ widht: 8 }, "parameter"], [{ detail: "none" }, "parameter"]])
     check((await attempt("decode", bytes, options)).kind == kind, `${JSON.stringify(options)} is not refused as ${kind}`)
+  // A height alone keeps the aspect ratio, as a width alone does.
+  for (const [region, [columns, rows]] of [[undefined, [first.columns, first.rows]], [[0, 0, 3, 2], [3, 2]]]) {
+    const tall = await attempt("decode", bytes, { region, height: 9 }), same = await attempt("decode", bytes, { region, width: Math.round(columns * 9 / rows), height: 9 })
+    check(tall.height == 9 && tall.width == same.width && tall.data?.every((v, i) => v == same.data[i]), `a height alone: ${tall}`)
+  }
   // In a file without a detail layer, the Gaussians are the whole picture, and the layer is plain grey.
   const [on, off, alone] = await Promise.all(["on", "off", "alone"].map(detail => attempt("decode", bytes, { detail })))
   check(on.data?.every((v, i) => v == off.data?.[i]), "without a detail layer more than the Gaussians is drawn")

@@ -1,6 +1,6 @@
-// The plugins for bundlers and `encodeFile`, from the packed package: node web/test/plugins.mjs [--all] [PROGRAM] The examples for Vite,
-// webpack and Next.js are installed and built twice, the second time without sharp, and shown in Chromium. With --all Next.js is built by
-// webpack as well. PROGRAM is the native `ssplat`, by default target/release/ssplat; the files must be the same. With
+// The plugins for bundlers and `encodeFile`, from the packed package: node web/test/plugins.mjs [--all | --vite] [PROGRAM] The examples for
+// Vite, webpack and Next.js are installed and built twice, the second time without sharp, and shown in Chromium. With --all Next.js is built
+// by webpack as well; with --vite only the example for Vite is installed. PROGRAM is the native `ssplat`, by default target/release/ssplat; the files must be the same. With
 // SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
 import assert from "node:assert/strict"
 import { cpSync, existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, renameSync, rmSync, writeFileSync } from "node:fs"
@@ -14,7 +14,8 @@ import { install, npm, pack } from "./packed.js"
 import { test as testVite } from "./vite-plugin.js"
 
 const root = new URL("../../", import.meta.url), isAll = process.argv.includes("--all")
-const program = process.argv.slice(2).find(word => word != "--all") ?? new URL("target/release/ssplat", root).pathname
+const isViteOnly = process.argv.includes("--vite")
+const program = process.argv.slice(2).find(word => !word.startsWith("--")) ?? new URL("target/release/ssplat", root).pathname
 const home = mkdtempSync(join(tmpdir(), "ssplat-plugins-"))
 process.on("exit", () => rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 }))
 
@@ -24,7 +25,7 @@ const examples = {
   webpack: { cache: "node_modules/.cache/ssplat", out: "dist", told: /<i> .*photo\.jpg: 96 × 64 pixels in \d+ bytes/g },
   next: { cache: "node_modules/.cache/ssplat", out: "out" },
 }
-const names = Object.keys(examples), folder = name => join(home, name)
+const names = isViteOnly ? ["vite"] : Object.keys(examples), folder = name => join(home, name)
 const filesIn = (path, end) => readdirSync(path, { recursive: true }).filter(file => file.endsWith(end)).map(file => join(path, file)).sort()
 
 const { filename } = await pack(home)

@@ -1,9 +1,11 @@
 // Tests the plugin for Vite and Rollup beyond its example: options, errors, the cache, and the development server.
 import assert from "node:assert/strict"
 import { execFileSync } from "node:child_process"
-import { cpSync, readFileSync, readdirSync, rmSync, truncateSync, writeFileSync } from "node:fs"
+import { randomUUID } from "node:crypto"
+import { cpSync, existsSync, mkdirSync, readFileSync, readdirSync, rmSync, statSync, truncateSync, utimesSync, writeFileSync } from "node:fs"
+import { request } from "node:http"
 import { createRequire } from "node:module"
-import { join } from "node:path"
+import { basename, dirname, join } from "node:path"
 import { pathToFileURL } from "node:url"
 
 // `home` has the pictures of encode-file.js; `vite` is a folder where Vite is installed.
@@ -87,32 +89,82 @@ export async function test({ home, vite, program, installed }) {
   assert(/^assets\/rgb-[\w-]+\.ssplat$/.test(asset.fileName) && code.includes(`new URL('${asset.fileName}', import.meta.url).href`), code)
   assert(Buffer.compare(native(["--effort", "1"]), asset.source) == 0, "Rollup emits other bytes than the program's")
 
+  // A file of the project, devices and folders; and cache entries that no build uses any more.
+  const { importPicture } = await installed("import-picture.js"), aged = join(home, "aged"), into = path => importPicture(path, "ssplat", { cacheDir: aged, defaults: { effort: 1 } }, () => {})
+  const entries = { ["0".repeat(32)]: 91, [`${"1".repeat(32)}-${randomUUID()}`]: 91, ["2".repeat(32)]: 89, "another-folder": 91 }
+  for (const [name, days] of Object.entries(entries)) {
+    mkdirSync(join(aged, name), { recursive: true })
+    utimesSync(join(aged, name), new Date(), new Date(Date.now() - days * 86_400_000))
+  }
+  const { file } = await into(join(home, "rgb.png"))
+  assert.deepEqual(readdirSync(aged).sort(), ["2".repeat(32), "another-folder", basename(dirname(file))].sort())
+  utimesSync(dirname(file), new Date(0), new Date(0))
+  await into(join(home, "rgb.png"))
+  assert(Date.now() - statSync(dirname(file)).mtimeMs < 60_000, "the use of an entry is not recorded")
+  await assert.rejects(into(home), /ssplat: not a file/)
+  if (existsSync("/dev/zero")) await assert.rejects(into("/dev/zero"), /zero\?ssplat: not a file/)
+  truncateSync(join(home, "cut.jpg"), 2 ** 30 + 1)
+  await assert.rejects(into(join(home, "cut.jpg")), /1073741825 bytes are more than the 1073741824/)
+
   // The development server: files are served below its base, also from a cache outside the project, and a picture that changes is encoded again.
-  const outside = `${home}-outside`
-  const server = await createServer({ ...config({ effort: 1, cacheDir: outside }), base: "/base/", server: { host: "127.0.0.1", ws: false } })
+  const outside = `${home}-outside`, secret = `${home}-secret`
+  mkdirSync(secret)
+  for (const path of [join(secret, "s.png"), join(home, ".env.png")]) cpSync(join(home, "palette.png"), path)
+  writeFileSync(join(home, "page.js"), `import a from "./my photo 100% ü.png?ssplat"\nimport b from "./rgb.png?ssplat"\nconsole.log(a, b)`)
+  writeFileSync(join(home, "denied.js"), `import a from "./.env.png?ssplat"\nconsole.log(a)`)
+  const server = await createServer({ ...config({ effort: 1, cacheDir: outside }), base: "/base/", server: { host: "127.0.0.1", ws: false, fs: { strict: true, allow: [home, outside] } } })
   try {
     await server.listen()
-    const origin = `http://127.0.0.1:${server.httpServer.address().port}`
+    const { port } = server.httpServer.address(), origin = `http://127.0.0.1:${port}`
+    // `path` is sent as it is, with `..`.
+    const get = path => new Promise((resolve, reject) => request({ host: "127.0.0.1", port, path, agent: false }, async answer => {
+      resolve({ status: answer.statusCode, text: Buffer.concat(await answer.toArray()).toString() })
+    }).on("error", reject).end())
+    const refused = async path => {
+      const { status, text } = await get(path)
+      assert(status >= 400, `${path}: ${status} ${text}`)
+      return text
+    }
+
+    // Before a module that imports the picture is sent, nobody can have it encoded.
+    await refused("/base/rgb.png?import&ssplat")
+    const { text: page } = await get("/base/page.js"), [named, plain] = [...page.matchAll(/from "([^"]*[?&]ssplat[^"]*)"/g)].map(([, url]) => url)
+    const fetched = async url => (await fetch(new URL(url, origin))).text()
     const ask = async url => {
-      const code = await (await fetch(`${origin}/base${url}`)).text(), source = /from "([^"]+\.ssplat\?[^"]+)"/.exec(code)?.[1]
-      assert(source, code)
-      const path = /export default "([^"]+)"/.exec(await (await fetch(origin + source)).text())[1], answer = await fetch(origin + path)
+      const text = await fetched(url), source = /from "([^"]+\.ssplat\?[^"]+)"/.exec(text)?.[1]
+      assert(source, `${url}: ${text}`)
+      const path = /export default "([^"]+)"/.exec(await fetched(source))[1], answer = await fetch(new URL(path, origin))
       assert.equal(answer.status, 200, path)
       return Buffer.from(await answer.arrayBuffer())
     }
-    await ask("/my%20photo%20100%25%20%C3%BC.png?import&ssplat")
-    const before = await ask("/rgb.png?import&ssplat")
+    // As the name has a "%", which Vite does not escape.
+    await ask(encodeURI(named))
+    const before = await ask(plain)
     assert(Buffer.compare(native(["--effort", "1"]), before) == 0, "the server serves other bytes than the program's")
+
+    // Other pictures, other options, and files outside of what Vite serves: nothing is encoded, and the answers do not tell which files exist.
+    const entries = readdirSync(outside).length, up = `/base/${"../".repeat(20)}`
+    for (const path of [`/base/@fs${secret}/s.png`, `${up.slice(0, -1)}${secret}/s.png`, "/base/grey.png", "/base/text.jpg", "/base/.env.png"])
+      for (const options of ["ssplat", "effort=1&ssplat&quality=95"]) {
+        const [said, other] = await Promise.all([path, path.replace(/(\w+)(?=\.\w+$)/, "none")].map(path => refused(`${path}?import&${options}`)))
+        assert.equal(said.replace(/\b(s|grey|text|env)\./g, "none."), other.replace(/\b(s|grey|text|env)\./g, "none."))
+      }
+    for (const options of ["seed=7", "effort=9", "quality=95", "maxSide=10", "placeholder=0"]) await refused(`/base/rgb.png?import&ssplat&${options}`)
+    // What Vite denies is denied to the project's modules as well.
+    await get("/base/denied.js")
+    assert.match(await refused("/base/.env.png?import&ssplat"), /\.env\.png: Vite may not serve this file/)
+    assert.equal(readdirSync(outside).length, entries, "a request has filled the cache")
+
     cpSync(join(home, "grey.png"), join(home, "rgb.png"))
     let after
     for (let i = 0; i < 600 && !(after && Buffer.compare(before, after)); i++) {
       await new Promise(r => setTimeout(r, 100))
-      after = await ask("/rgb.png?import&ssplat")
+      after = await ask(plain)
     }
     assert(Buffer.compare(native(["--effort", "1"]), after) == 0, "a picture that changed is served as it was")
   } finally {
     await server.close()
-    for (const cache of [cacheDir, outside]) rmSync(cache, { recursive: true })
+    for (const folder of [cacheDir, outside, secret]) rmSync(folder, { recursive: true, force: true })
   }
   return "options, errors, cache and server"
 }

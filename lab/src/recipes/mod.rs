@@ -1,4 +1,4 @@
-//! Other methods that fit 2D Gaussians to pictures, for comparison; behind the feature `recipes`.
+//! Other methods that fit 2D Gaussians to pictures, for comparison.
 //!
 //! Each follows its published program: initialization, blend, loss, optimizer and growth, with the default constants
 //! of the program. All share this crate's planes, gradients and measures, so that iterations and seconds can be

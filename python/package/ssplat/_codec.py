@@ -76,7 +76,8 @@ def encode(
         threads: number of threads; None: one per core.
         levels: number of progressive levels, 1 to 8. A file that is truncated after a level is a coarser picture.
         tiles: side of the tiles in which the picture is fitted, pixels, a multiple of 128. Tiles bound the memory for
-            large pictures. None: pictures above 268 megapixels are fitted in tiles of 2048, others as a whole.
+            large pictures. None: pictures above 33.5 megapixels are fitted in tiles of 2048 (with a GPU above 268),
+            others as a whole.
         thumbnail: maximum size of the thumbnail in the file, bytes. ``"auto"``: a hundredth of the file, at most 4000,
             in files of at least 100 000 bytes. None: no thumbnail.
         detail: whether the file has a detail layer, the transform-coded residual of the Gaussians. ``auto``: if the
