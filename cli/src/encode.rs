@@ -12,7 +12,8 @@ use ssplat::SamplesMut;
 use ssplat::report::StageTime;
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels, Samples, Target};
+use ssplat::unstable::colour::Profiles;
+use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, MetadataPolicy, PixelSource, Pixels, Samples, Target};
 
 use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
 use crate::failure::Failure;
@@ -23,7 +24,7 @@ use crate::progress::{Bar, Stages};
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, printable, say, tell};
 use crate::sniff::sniff;
-use crate::source::{self, Source, Turn};
+use crate::source::{self, Reading, Source, Turn};
 use crate::spool::{self, Opened, Spooled};
 use crate::{args, carried, compare, drawing, left_out, resize};
 
@@ -210,6 +211,14 @@ fn load(
     origin: &Origin,
     end: Option<Instant>,
 ) -> Result<Loaded, Failure> {
+    // Downscaling in linear light needs the profile.
+    let is_profile_used = args.metadata != MetadataPolicy::None || args.max_side.is_some();
+    let reading = Reading {
+        turn: if args.auto_orient { Turn::Upright } else { Turn::Keep },
+        profiles: if is_profile_used { Profiles::Read } else { Profiles::Ignore },
+        max_side: args.max_side,
+        hidden: args.options().hidden,
+    };
     let is_huge = |size: [u32; 2]| area(size) > ssplat::unstable::MAX_WHOLE_PIXELS;
     let fitted = |size| resize::fitted(size, args.max_side);
     let is_resized = origin.size.is_some_and(|size| fitted(size) != size);
@@ -217,17 +226,20 @@ fn load(
     let stays_in_parts = !is_resized && args.preview.is_none() && !args.auto_orient;
     let is_tiled = args.tiles.is_some() && stays_in_parts;
     if is_tiled || origin.size.is_some_and(is_huge) && (is_resized || stays_in_parts) {
-        match spool::open(path, opened, end)? {
+        match spool::open(path, opened, end, reading.profiles)? {
             Opened::InParts(picture) if is_resized => {
                 let size = fitted(picture.size());
                 let source = picture.resized(path, size, args.options().hidden)?;
                 return Ok(Loaded::Whole(if args.auto_orient { source.upright(path)? } else { source }));
             }
+            Opened::InParts(picture) if picture.width().max(picture.height()) > source::MAX_SIDE => {
+                return Err(source::too_long(path, picture.size()));
+            }
             Opened::InParts(picture) => return Ok(Loaded::InParts(picture)),
             Opened::AsWhole(input) => opened = input,
         }
     }
-    let mut source = source::read(path, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
+    let mut source = source::read(path, opened, &reading)?;
     if args.partial && source.is_cut_off {
         source.notes.push("the file is cut off, so the encoded picture is incomplete".into());
     } else {
