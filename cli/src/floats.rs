@@ -6,7 +6,7 @@ use image::DynamicImage;
 
 use crate::failure::{Failure, Kind};
 
-/// Share of the samples outside 0 to 1 above which a picture is refused: it holds heights, depths or other data.
+/// Share of the samples outside 0 to 1 above which a grey picture is refused: it holds heights, depths or other data.
 const MAX_OUTSIDE: f64 = 0.5;
 
 /// Rounding of samples that does not count as outside.
@@ -40,8 +40,8 @@ impl Range {
     /// Returns a note if samples are clipped.
     ///
     /// # Errors
-    /// An unsupported picture, if samples are not finite or most of them are outside 0 to 1.
-    pub fn check(&self, path: &Path) -> Result<Option<String>, Failure> {
+    /// An unsupported picture, if samples are not finite, or if it is grey and most of them are outside 0 to 1.
+    pub fn check(&self, path: &Path, is_grey: bool) -> Result<Option<String>, Failure> {
         let Range { count, outside, not_numbers, least, most } = *self;
         let refused = |what: String| {
             let message = format!(
@@ -54,12 +54,12 @@ impl Range {
         if not_numbers > 0 {
             return refused(format!("{not_numbers} of its {count} floating-point samples are not finite numbers"));
         }
-        if outside as f64 > MAX_OUTSIDE * count as f64 {
+        if is_grey && outside as f64 > MAX_OUTSIDE * count as f64 {
             return refused(format!("most of its floating-point samples, {least} to {most}, are outside 0 to 1"));
         }
         Ok((outside > 0).then(|| {
             format!(
-                "{outside} of its {count} floating-point samples, which reach from {least} to {most}, are clipped to 0 to 1"
+                "{outside} of its {count} floating-point samples, which reach from {least} to {most}, are clipped to 0..1; scale them first to keep them"
             )
         }))
     }
@@ -71,8 +71,8 @@ impl Range {
 /// As for [`Range::check`].
 pub fn check(path: &Path, picture: &DynamicImage) -> Result<Option<String>, Failure> {
     match picture {
-        DynamicImage::ImageRgb32F(picture) => Range::of(picture.iter().copied()).check(path),
-        DynamicImage::ImageRgba32F(picture) => Range::of(picture.iter().copied()).check(path),
+        DynamicImage::ImageRgb32F(picture) => Range::of(picture.iter().copied()).check(path, false),
+        DynamicImage::ImageRgba32F(picture) => Range::of(picture.iter().copied()).check(path, false),
         _ => Ok(None),
     }
 }

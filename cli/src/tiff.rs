@@ -126,7 +126,7 @@ fn found(path: &Path, input: &mut (impl BufRead + Seek)) -> Result<Option<Found>
         (Colors::YCbCr, Samples::U8(samples)) => (Colors::Rgb, Samples::U8(rgb(samples, luma.as_deref()))),
         (Colors::YCbCr, _) => return Err(unsupported(path, "has YCbCr of more than 8 bits")),
         (Colors::Grey | Colors::GreyAlpha, Samples::F32(samples)) => {
-            notes.extend(Range::of(samples.iter().copied()).check(path)?);
+            notes.extend(Range::of(samples.iter().copied()).check(path, true)?);
             let words = samples.iter().map(|v| (v.clamp(0.0, 1.0) * 65535.0).round() as u16).collect();
             (colors, Samples::U16(words))
         }
