@@ -464,6 +464,40 @@ fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
 mod tests {
     use super::*;
 
+    /// Returns a codestream that ends where a coded profile of `length` bytes begins.
+    fn with_profile(length: u64) -> Vec<u8> {
+        let mut bits: Vec<bool> = Vec::new();
+        let mut put = |value: u64, count: u32| (0..count).for_each(|k| bits.push(value >> k & 1 == 1));
+        put(0x0AFF, 16);
+        // A square of 8 pixels.
+        let size = [(1, 1), (0, 5), (1, 3)];
+        // Not all default, no extra fields, integers, 8 bits, short buffers, no extra channels, not XYB.
+        let samples = [(0, 1), (0, 1), (0, 1), (0, 2), (1, 1), (0, 2), (0, 1)];
+        // A colour encoding that is a profile for RGB; no extensions, and all else default.
+        let colors = [(0, 1), (1, 1), (0, 2), (0, 2), (1, 1)];
+        for &(value, count) in [&size[..], &samples, &colors].into_iter().flatten() {
+            put(value, count);
+        }
+        put(3, 2);
+        put(length & 0xFFF, 12);
+        for byte in (0..6).map(|k| length >> (12 + 8 * k)).take_while(|&rest| rest > 0) {
+            put(1, 1);
+            put(byte & 0xFF, 8);
+        }
+        put(0, 1);
+        bits.chunks(8).map(|byte| byte.iter().rev().fold(0, |sum, &bit| sum << 1 | u8::from(bit))).collect()
+    }
+
+    #[test]
+    fn a_long_profile_is_refused_before_it_is_decompressed() {
+        for length in [5 << 20, 200 << 20, 1 << 40] {
+            let refused = check_profile(Path::new("a.jxl"), &with_profile(length)).unwrap_err();
+            assert_eq!(refused.kind, Kind::Limit);
+            assert!(refused.message.contains(&format!("has {length} bytes")), "{}", refused.message);
+        }
+        assert!(check_profile(Path::new("a.jxl"), &with_profile(4000)).is_ok());
+    }
+
     #[test]
     fn premultiplied_colours_become_straight() {
         let mut pixels = [100, 50, 0, 128, 9, 9, 9, 0, 7, 8, 9, 255, 200, 0, 0, 100u8];

@@ -63,6 +63,10 @@ struct Directory {
     bits: u16,
     /// 1 are integers, 2 are signed integers, 3 are floating-point numbers.
     format: u16,
+    /// 7 is JPEG.
+    compression: u16,
+    /// 2 means that the lowest bit of a byte is the first one.
+    fill_order: u16,
     /// The kind of the first extra sample: 1 and 2 are alpha.
     extra: Option<u16>,
 }
@@ -163,6 +167,8 @@ fn directory<R: Read + Seek>(decoder: &mut Decoder<R>) -> TiffResult<Directory> 
         stored: number(decoder, Tag::SamplesPerPixel, 1)?,
         bits: number(decoder, Tag::BitsPerSample, 1)?,
         format: number(decoder, Tag::SampleFormat, 1)?,
+        compression: number(decoder, Tag::Compression, 1)?,
+        fill_order: number(decoder, Tag::FillOrder, 1)?,
         extra: decoder.find_tag_unsigned_vec(Tag::ExtraSamples)?.and_then(|v: Vec<u16>| v.first().copied()),
     })
 }
@@ -177,6 +183,13 @@ fn kind(directory: &Directory) -> Result<Option<Colors>, String> {
     let is_float = format == 3;
     if matches!(format, 2 | 5 | 6) {
         return Err(format!("has signed or complex samples of {bits} bits"));
+    }
+    // 2 to 4 are codes for fax, which are read from either end.
+    if directory.fill_order == 2 && !matches!(directory.compression, 2..=4) {
+        return Err("stores the bits of its bytes in reverse order".into());
+    }
+    if directory.compression == 7 && stored == 2 {
+        return Err("has grey with alpha in JPEG".into());
     }
     let colors = match (photometric, stored) {
         (0 | 1, 1) => Colors::Grey,

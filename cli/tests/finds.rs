@@ -369,6 +369,7 @@ fn a_tiff_that_is_not_read_is_refused_with_advice() {
         tiff([3, 1], &[(258, 3, bits), (262, 3, photometric), (277, 3, count), (339, 3, format)], &[1; 24])
     };
     for (name, file) in [
+        ("order.tif", tiff([3, 1], &[(258, 3, &[8]), (262, 3, &[1]), (266, 3, &[2])], &[1, 2, 3])),
         ("signed.tif", kind(&[16], &[1], &[2])),
         ("lab.tif", kind(&[8, 8, 8], &[8], &[1])),
         ("small.tif", tiff([3, 1], &[(258, 3, &[32]), (262, 3, &[1])], &[5u32; 3].map(u32::to_le_bytes).concat())),

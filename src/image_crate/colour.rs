@@ -40,17 +40,19 @@ pub fn is_srgb(icc: &[u8]) -> bool {
 pub fn misfit(icc: &[u8], is_grey: bool) -> Option<String> {
     // ICC.1, header: length, data colour space, and the signature of all profiles.
     let length = icc.first_chunk().map_or(0, |length| u32::from_be_bytes(*length)) as usize;
-    if !(128..=icc.len()).contains(&length) || &icc[36..40] != b"acsp" {
-        return Some("is broken".into());
+    let space = icc.get(16..20).unwrap_or_default();
+    let is_profile = icc.get(36..40) == Some(b"acsp");
+    match space {
+        _ if is_profile && length > icc.len() => Some("is cut off".into()),
+        b"GRAY" if is_grey => None,
+        b"RGB " if !is_grey => None,
+        _ if !is_profile => Some("is broken".into()),
+        space => {
+            let space = if space == b"GRAY" { "grey".into() } else { String::from_utf8_lossy(space) };
+            let samples = if is_grey { "grey" } else { "RGB" };
+            Some(format!("is for {}, not for the {samples} samples", space.trim()))
+        }
     }
-    let space = match &icc[16..20] {
-        b"GRAY" if is_grey => return None,
-        b"RGB " if !is_grey => return None,
-        b"GRAY" => "grey".into(),
-        space => String::from_utf8_lossy(space).trim().to_string(),
-    };
-    let samples = if is_grey { "grey" } else { "RGB" };
-    Some(format!("is for {space}, not for the {samples} samples"))
 }
 
 /// Returns the largest difference between colours under a profile and in sRGB, in 8-bit code values; `None` if they
