@@ -49,6 +49,8 @@ pub mod instant {
 #[cfg(all(feature = "image", feature = "encode"))]
 pub mod colour {
     pub use crate::image_crate::colour::*;
+    pub use crate::image_crate::overlay::*;
+    pub use crate::image_crate::stated::*;
 }
 /// Decoding pictures of the `image` crate within limits.
 #[cfg(all(feature = "image", feature = "encode"))]

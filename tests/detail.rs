@@ -116,6 +116,18 @@ fn each_layer_can_be_rendered_alone() {
 }
 
 #[test]
+fn a_detail_layer_is_no_metadata() {
+    let mut limits = Limits::default();
+    limits.metadata = 0;
+    assert!(Reader::new(&small(), &limits).unwrap().read(Damage::Refuse).is_ok());
+    let mut tagged = large(Channels::Rgb);
+    tagged.metadata.exif = Some(b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
+    let bytes = to_bytes(&tagged).unwrap();
+    let refused = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse));
+    assert!(matches!(refused, Err(Error::LimitExceeded { limit: Limit::Metadata, .. })));
+}
+
+#[test]
 fn reading_and_writing_gives_the_same_bytes() {
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         let splats = large(channels);

@@ -11,6 +11,9 @@ use ssplat::{
 
 use crate::failure::{Failure, Outcome, ssplat_status};
 
+/// The first bytes of every file.
+const MAGIC: &[u8; 4] = b"\x89SSP";
+
 /// Output pixels that are rendered between two looks at the callback, unless a band has more.
 const PIXELS_AT_ONCE: u64 = 1 << 20;
 
@@ -68,8 +71,14 @@ impl Session {
         };
         let allowed = self.limits.alloc;
         let mut bytes = Vec::new();
-        let file = File::open(path).map_err(failed)?;
-        file.take(allowed.saturating_add(1)).read_to_end(&mut bytes).map_err(failed)?;
+        let mut file = File::open(path).map_err(failed)?;
+        // Of other files, which may be endless, only the start is read.
+        file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
+        if !bytes.starts_with(MAGIC) {
+            return self.hold(bytes);
+        }
+        let allowed = allowed.max(bytes.len() as u64);
+        file.take((allowed - bytes.len() as u64).saturating_add(1)).read_to_end(&mut bytes).map_err(failed)?;
         if bytes.len() as u64 > allowed {
             let message = format!("{}: the file has more than the {allowed} bytes of the limit alloc", path.display());
             return Err(Failure::new(ssplat_status::Limit, message));

@@ -81,6 +81,8 @@ static void closed_decoders(ssplat_decoder *decoder)
     CHECK(ssplat_decoder_open_file(decoder, NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_file(decoder, "/nowhere/to/be/found.ssplat") == SSPLAT_STATUS_IO);
     CHECK(ssplat_decoder_open_file(decoder, "/") == SSPLAT_STATUS_IO);
+    // Of a file that is none of this format, however long, only the start is read.
+    CHECK(ssplat_decoder_open_file(decoder, "/dev/zero") == SSPLAT_STATUS_FORMAT);
     CHECK(ssplat_decoder_info(decoder, &info) == SSPLAT_STATUS_CLOSED);
 }
 

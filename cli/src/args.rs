@@ -14,6 +14,7 @@ use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
 use crate::failure::Failure;
 use crate::names;
+use crate::sink::{ReadOnly, Sink};
 
 /// Encode pictures as 2D Gaussians and a detail layer (.ssplat), and decode them
 #[derive(Debug, Parser)]
@@ -33,8 +34,8 @@ const VERSION: &str =
 const EXIT_STATUS: &str = "\
 Exit status: 0 success, 2 wrong usage, 3 reading or writing failed, 4 broken file,
 5 unsupported format or version, 6 file beyond the limits, 1 anything else. A command
-that fails leaves no output file. With several inputs, the status is that of the
-failures, or 1 if they differ.";
+that fails leaves no output file. With several inputs, the outputs of the others stay,
+and the status is that of the failures, or 1 if they differ.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -210,7 +211,7 @@ pub struct Many {
     /// Skip inputs whose outputs exist
     #[arg(help_heading = "Several files", long, requires = "out_dir", conflicts_with = "overwrite")]
     pub skip_existing: bool,
-    /// Replace outputs that exist; a single output is always replaced
+    /// Replace outputs that exist; a single output is always replaced, but a read-only one only with this option
     #[arg(help_heading = "Several files", long)]
     pub overwrite: bool,
     /// Append a line of JSON for each input to this file
@@ -219,6 +220,12 @@ pub struct Many {
 }
 
 impl Many {
+    /// Creates the output for `path`, which must not replace any of `inputs`. A read-only file is replaced only with
+    /// `--overwrite`.
+    pub fn sink(&self, path: &Path, inputs: &[&Path]) -> Result<Sink, Failure> {
+        Sink::replacing(path, inputs, if self.overwrite { ReadOnly::Replace } else { ReadOnly::Keep })
+    }
+
     pub fn existing(&self) -> Existing {
         match (self.skip_existing, self.overwrite) {
             (true, _) => Existing::Skip,
@@ -262,6 +269,12 @@ pub struct TargetArgs {
 }
 
 impl Encode {
+    /// Creates the output for `path`, which must not replace any of `inputs`. A read-only file is replaced only with
+    /// `--force` or `--overwrite`.
+    pub fn sink(&self, path: &Path, inputs: &[&Path]) -> Result<Sink, Failure> {
+        if self.force { Sink::replacing(path, inputs, ReadOnly::Replace) } else { self.many.sink(path, inputs) }
+    }
+
     /// Returns the library's options for these arguments.
     pub fn options(&self) -> EncodeOptions {
         let mut o = EncodeOptions::default();

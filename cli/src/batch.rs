@@ -2,12 +2,13 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
+use image::ImageFormat;
 use serde_json::{Value, json};
 
 use crate::args::{Existing, Many};
@@ -15,7 +16,7 @@ use crate::failure::{Failure, Kind};
 use crate::inputs::{self, Found, Rules, Task};
 use crate::progress::Bar;
 use crate::sink::{say, tell};
-use crate::{carried, guard};
+use crate::{carried, guard, sink};
 
 /// Pictures of up to this many pixels are small: each is processed on one thread, in parallel with others.
 const MAX_SMALL_PIXELS: u64 = 1 << 22;
@@ -41,6 +42,9 @@ pub struct Done {
 
 /// Receives the progress of a file: the share that is done, and the stage.
 pub type Show<'a> = dyn Fn(f32, &'static str) + 'a;
+
+/// Prints the result of a file just before its output gets its name, so that a failure leaves no output.
+pub type Report<'a> = dyn Fn(&Done) -> Result<(), Failure> + 'a;
 
 /// Processes an input into an output.
 pub type Work<'a> = dyn Fn(&Task, &Show) -> Result<Done, Failure> + Sync + 'a;
@@ -83,14 +87,17 @@ pub fn run(
     output_mode: OutputMode,
     command: &Command,
 ) -> Result<(), Failure> {
+    check_folder(inputs, folder)?;
     let rules = Rules { takes: command.takes, extension: command.extension, is_recursive: many.recursive };
     let Found { tasks, notes } = inputs::find(inputs, folder, &rules)?;
+    check_outputs(&tasks, many)?;
     if output_mode != OutputMode::Quiet {
         notes.iter().for_each(|note| tell(note));
     }
+    let manifest = many.manifest.as_deref().map(Manifest::check).transpose()?;
     // A folder that cannot be created is reported once, not for every file.
     std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))?;
-    let manifest = many.manifest.as_deref().map(Manifest::open).transpose()?;
+    let manifest = manifest.map(Manifest::open).transpose()?;
     let all = tasks.len();
     let waiting = tasks.into_iter().filter(|t| many.existing() != Existing::Skip || !t.output.exists());
     let (small, large): (Vec<Task>, Vec<Task>) = waiting.partition(|t| (command.pixels)(&t.input) <= MAX_SMALL_PIXELS);
@@ -132,6 +139,64 @@ pub fn run(
             Err(Failure { kind, message: format!("{} of {all} files failed", state.failed.len()) })
         }
     }
+}
+
+/// Checks that `folder` is meant as the folder of the outputs, before it is created.
+fn check_folder(inputs: &[PathBuf], folder: &Path) -> Result<(), Failure> {
+    // `-dash.png` is a name that looks like the option -d and its value.
+    let is_picture =
+        ImageFormat::from_path(folder).is_ok() || folder.extension().is_some_and(|e| e == ssplat::EXTENSION);
+    let glued = format!("-d{}", folder.display());
+    if is_picture && !folder.is_dir() && std::env::args_os().any(|arg| arg == *glued) {
+        return Err(Failure::usage(format!(
+            "{glued}: is taken for the option -d; write ./{glued} for a file of this name"
+        )));
+    }
+    let missing = |path: &PathBuf| path != Path::new("-") && path.symlink_metadata().is_err();
+    match inputs {
+        [first, ..] if inputs.iter().all(missing) => {
+            let e = std::fs::metadata(first).err().unwrap_or_else(|| std::io::ErrorKind::NotFound.into());
+            Err(Failure::io(first, &e))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Checks that no output is the input of another task, or the output of another task under another name, and that the
+/// manifest is none of them.
+fn check_outputs(tasks: &[Task], many: &Many) -> Result<(), Failure> {
+    let identity = |path: &Path| sink::Identity::of(path);
+    let inputs: HashMap<_, &Path> =
+        tasks.iter().filter_map(|task| Some((identity(&task.input)?, task.input.as_path()))).collect();
+    let mut outputs: HashMap<_, &Path> = HashMap::new();
+    for Task { input, output, .. } in tasks {
+        let Some(found) = identity(output) else { continue };
+        if let Some(other) = inputs.get(&found).filter(|&other| other != input) {
+            let (output, other) = (output.display(), other.display());
+            return Err(Failure::usage(format!("{output}: is the input {other}; it is not overwritten")));
+        }
+        if let Some(other) = outputs.insert(found, output) {
+            let (output, other) = (output.display(), other.display());
+            return Err(Failure::usage(format!("{output} and {other}: are the same file, through a link")));
+        }
+    }
+    let Some(manifest) = &many.manifest else { return Ok(()) };
+    let refused =
+        |what: &str| Err(Failure::usage(format!("{}: is {what}, and cannot be the manifest", manifest.display())));
+    let found = identity(manifest);
+    let is_same = |path: &Path| path == manifest || found.is_some() && identity(path) == found;
+    if tasks.iter().any(|task| is_same(&task.input)) {
+        return refused("an input");
+    }
+    // An output that does not exist yet has no identity.
+    let place = |path: &Path| Some(std::fs::canonicalize(path.parent()?).ok()?.join(path.file_name()?));
+    let own = place(&std::path::absolute(manifest).unwrap_or_else(|_| manifest.clone()));
+    let is_there =
+        |path: &Path| own.is_some() && place(&std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())) == own;
+    if tasks.iter().any(|task| is_same(&task.output) || is_there(&task.output)) {
+        return refused("an output");
+    }
+    Ok(())
 }
 
 /// State shared by all threads of a batch.
@@ -226,6 +291,20 @@ struct Manifest {
 }
 
 impl Manifest {
+    /// Returns `path` if it is no file, an empty one, or a manifest.
+    fn check(path: &Path) -> Result<&Path, Failure> {
+        let io = |e| Failure::io(path, &e);
+        let mut first = Vec::new();
+        if std::fs::metadata(path).is_ok_and(|found| found.is_file()) {
+            File::open(path).map_err(io)?.take(1).read_to_end(&mut first).map_err(io)?;
+        }
+        if !matches!(first[..], [] | [b'{']) {
+            let message = "has other contents than lines of JSON, and cannot be the manifest";
+            return Err(Failure::usage(format!("{}: {message}", path.display())));
+        }
+        Ok(path)
+    }
+
     fn open(path: &Path) -> Result<Manifest, Failure> {
         let file = File::options().create(true).append(true).open(path).map_err(|e| Failure::io(path, &e))?;
         Ok(Manifest { path: path.into(), file: Mutex::new(file) })

@@ -1,27 +1,37 @@
 //! `ssplat compare`: PSNR, SSIM, MS-SSIM, SSIMULACRA2 and Butteraugli between two pictures of any format.
 
 use serde_json::{Value, json};
-use ssplat::unstable::metrics;
+use ssplat::unstable::{colour, metrics};
 use ssplat::{Channels, Depth, Pixels, Samples};
 
 use crate::args;
 use crate::failure::Failure;
 use crate::perceived::{self, Perceived};
 use crate::sink::{say, tell};
-use crate::source::{self, Turn};
+use crate::source::{self, Source, Turn};
 
 /// PSNR in dB that is reported for equal samples, whose PSNR is infinite.
 pub const IDENTICAL: f64 = 99.0;
 
 pub fn run(args: &args::Compare) -> Result<(), Failure> {
-    let open = |path| -> Result<Pixels, Failure> {
+    let open = |path| -> Result<Source, Failure> {
         let source = source::open(path, Turn::Keep)?;
         if source.is_cut_off {
             tell(&format!("{}: the file is cut off", Failure::input(path)));
         }
-        Ok(source.pixels)
+        Ok(source)
     };
-    let (reference, test) = (open(&args.reference)?, open(&args.test)?);
+    let (mut reference, mut test) = (open(&args.reference)?, open(&args.test)?);
+    let both = format!("{} and {}", Failure::input(&args.reference), Failure::input(&args.test));
+    if reference.orientation != test.orientation {
+        tell(&format!("{both}: their orientations differ; the pictures are compared upright"));
+        (reference, test) = (reference.upright(&args.reference)?, test.upright(&args.test)?);
+    }
+    let profile = |source: &Source| source.icc.clone().filter(|icc| !colour::is_srgb(icc));
+    if profile(&reference) != profile(&test) {
+        tell(&format!("{both}: their ICC profiles differ; the samples are compared as they are stored"));
+    }
+    let (reference, test) = (reference.pixels, test.pixels);
     let found = measure(&reference, &test)
         .map_err(|e| Failure::usage(format!("{} and {}: {e}", args.reference.display(), args.test.display())))?;
     say(&if args.json { format!("{}\n", as_json(&found)) } else { format!("{}\n", as_text(&found)) })

@@ -14,11 +14,13 @@ pub struct Structure {
     pub has_more: bool,
     /// The first picture is a reduced version of another one, as in raw files of cameras.
     pub is_reduced: bool,
+    /// The file uses a kind of coding that its decoder does not support: what it is, and what to do.
+    pub unsupported: Option<&'static str>,
 }
 
 /// Scans a file of `format` from its start. Formats whose decoders detect truncation count as complete.
 pub fn look<R: BufRead + Seek>(reader: &mut R, format: ImageFormat) -> io::Result<Structure> {
-    let mut found = Structure { is_whole: true, has_more: false, is_reduced: false };
+    let mut found = Structure { is_whole: true, has_more: false, is_reduced: false, unsupported: None };
     let outcome = match format {
         ImageFormat::Jpeg => jpeg(reader, &mut found),
         ImageFormat::Gif => gif(reader, &mut found),
@@ -44,6 +46,25 @@ fn byte(reader: &mut impl Read) -> io::Result<u8> {
     Ok(bytes::<1>(reader)?[0])
 }
 
+const TWELVE_BITS: &str = "is a JPEG with 12 bits per sample, which is not supported: convert it first, with \
+                           `djpeg IN.jpg > OUT.ppm` of libjpeg-turbo 3";
+
+/// Returns what is not supported about the frame that starts with `marker` (ISO/IEC 10918-1, table B.1), and what to do.
+fn unsupported_frame(marker: u8) -> Option<&'static str> {
+    Some(match marker {
+        0xC9 | 0xCA | 0xCC => {
+            "is a JPEG with arithmetic coding, which is not supported: convert it first, without loss, with \
+             `jpegtran -copy all -optimize IN.jpg > OUT.jpg`"
+        }
+        0xC3 | 0xCB => {
+            "is a lossless JPEG, which is not supported: convert it first, with `djpeg IN.jpg > OUT.ppm` of libjpeg-turbo 3"
+        }
+        0xC5..=0xC7 | 0xCD..=0xCF => "is a hierarchical JPEG, which is not supported: convert it to PNG first",
+        0xF7 => "is a JPEG-LS file, which is not supported: convert it first, with `ffmpeg -i IN.jls OUT.png`",
+        _ => return None,
+    })
+}
+
 /// Reads up to the end marker. Skips everything but markers between segments and within a scan.
 fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
     loop {
@@ -60,11 +81,23 @@ fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
             // A stuffed byte of a scan, a restart marker, the start marker, and a marker without a length.
             0x00 | 0x01 | 0xD0..=0xD8 => {}
             marker => {
+                if let Some(kind) = unsupported_frame(marker) {
+                    found.unsupported = Some(kind);
+                    return Ok(());
+                }
                 let mut length = u64::from(u16::from_be_bytes(bytes(reader)?)).saturating_sub(2);
                 // An APP2 segment with the index of pictures that follow the first one (CIPA DC-007).
                 if marker == 0xE2 && length >= 4 {
                     found.has_more |= &bytes::<4>(reader)? == b"MPF\0";
                     length -= 4;
+                }
+                // A frame header starts with the number of bits per sample.
+                if matches!(marker, 0xC0..=0xC2) && length >= 1 {
+                    if byte(reader)? == 12 {
+                        found.unsupported = Some(TWELVE_BITS);
+                        return Ok(());
+                    }
+                    length -= 1;
                 }
                 skip(reader, length)?;
             }

@@ -9,10 +9,11 @@ use serde_json::json;
 use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
+use ssplat::unstable::colour;
 use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Rect, Samples, SplatImage};
 use ssplat::{Renderer, SamplesMut, View};
 
-use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
+use crate::batch::{self, Command, Done, Fate, OutputMode, Report, Show};
 use crate::failure::Failure;
 use crate::inputs::Task;
 use crate::kept_times::KeptTimes;
@@ -39,7 +40,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
             takes: &|path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ssplat::EXTENSION)),
             extension: args.format.as_deref().unwrap_or("png"),
             pixels: &pixels,
-            run: &|task, show| one(args, task, format, show),
+            run: &|task, show| one(args, task, format, (show, &|_| Ok(()))),
         };
         return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
@@ -51,14 +52,20 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     };
     let bar = Bar::of(output_mode);
     let task = Task::new(input.into(), output.into());
-    let done = one(args, &task, format, &|share, stage| bar.show(share, stage))?;
-    drop(bar);
-    if output_mode != OutputMode::Quiet {
-        done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
-    }
-    if args.json && output != Path::new("-") {
-        say(&format!("{}\n", done.result))?;
-    }
+    // A report that cannot be written is a failure, which leaves no output.
+    let report = |done: &Done| {
+        let mut outcome = Ok(());
+        bar.aside(|| {
+            if output_mode != OutputMode::Quiet {
+                done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
+            }
+            if args.json && output != Path::new("-") {
+                outcome = say(&format!("{}\n", done.result));
+            }
+        });
+        outcome
+    };
+    one(args, &task, format, (&|share, stage| bar.show(share, stage), &report))?;
     Ok(())
 }
 
@@ -73,13 +80,13 @@ fn pixels(path: &Path) -> u64 {
 }
 
 /// Decodes one file.
-fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<Done, Failure> {
+fn one(args: &args::Decode, task: &Task, format: Format, (show, report): (&Show, &Report)) -> Result<Done, Failure> {
     let (input, output) = (task.input.as_path(), task.output.as_path());
     let start = Instant::now();
     let times = KeptTimes::of(args.keep_times, task)?;
     let bytes = input::read_splats(input)?;
     if let Some(side) = args.thumbnail {
-        return thumbnail(args, (input, output), format, (&bytes, side), times);
+        return thumbnail(args, (input, output), format, (&bytes, side), (times, report));
     }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
@@ -94,6 +101,13 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
     notes.extend(format.losses(depth, opened.metadata()));
     let orientation = orientation(args, opened.metadata());
     let background = background(args, channels, format, &mut notes);
+    let written = channels_over(channels, background);
+    format.check(&sink::named(output), [view.width(), view.height()], written)?;
+    let misfit = misfit(opened.metadata(), format, written);
+    let own = |mut metadata: Metadata| {
+        metadata.icc = metadata.icc.filter(|_| misfit.is_none());
+        metadata
+    };
     let mut shape = (view.width(), view.height());
     let mut device = String::from("CPU");
     let sink;
@@ -107,19 +121,18 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
         } else {
             opened.render(&view).map_err(failed)?
         };
-        let source = shown(pixels, opened.into_metadata(), background, orientation).map_err(failed)?;
+        let source = shown(pixels, own(opened.into_metadata()), background, orientation).map_err(failed)?;
         shape = (source.pixels.width(), source.pixels.height());
-        sink = Sink::create(output, &[input])?;
+        sink = args.many.sink(output, &[input])?;
         encode::write_pixels(source, format, &sink, &sink::named(output))?;
     } else {
         let renderer = opened.renderer(&view).map_err(failed)?;
-        let metadata = opened.into_metadata();
-        sink = Sink::create(output, &[input])?;
+        let metadata = own(opened.into_metadata());
+        sink = args.many.sink(output, &[input])?;
         let mut rows = start_rows(&renderer, depth, &metadata, format, &sink)?;
         draw(&renderer, depth, &mut rows, output, show)?;
         rows.finish(&sink::named(output))?;
     }
-    times.finish(sink)?;
     let seconds = start.elapsed().as_secs_f64();
     let mut loss = json!({ "primitives": missing.primitives, "of": of });
     if missing.of_tiles > 0 {
@@ -127,7 +140,11 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
     }
     let (width, height) = shape;
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
-    Ok(Done { text: String::new(), result, notes, fate: Fate::Written })
+    notes.extend(misfit);
+    let done = Done { text: String::new(), result, notes, fate: Fate::Written };
+    report(&done)?;
+    times.finish(sink)?;
+    Ok(done)
 }
 
 /// Renders the file `bytes` so that it fits into a square, from its thumbnail if that is large enough.
@@ -136,24 +153,50 @@ fn thumbnail(
     (input, output): (&Path, &Path),
     format: Format,
     (bytes, side): (&[u8], u32),
-    times: KeptTimes,
+    (times, report): (KeptTimes, &Report),
 ) -> Result<Done, Failure> {
     let start = Instant::now();
     let failed = |e| Failure::library(input, &e);
-    let ssplat::Decoded { pixels, metadata, .. } =
+    let ssplat::Decoded { pixels, mut metadata, .. } =
         Reader::new(bytes, &Limits::default()).and_then(|reader| reader.thumbnail([side; 2])).map_err(failed)?;
     let mut notes = losses(&metadata, MissingParts::default(), 0);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
     let background = background(args, pixels.channels(), format, &mut notes);
+    let written = channels_over(pixels.channels(), background);
+    format.check(&sink::named(output), [pixels.width(), pixels.height()], written)?;
+    if let Some(note) = misfit(&metadata, format, written) {
+        metadata.icc = None;
+        notes.push(note);
+    }
     let source = shown(pixels, metadata, background, orientation).map_err(failed)?;
     let (width, height) = (source.pixels.width(), source.pixels.height());
-    let sink = Sink::create(output, &[input])?;
+    let sink = args.many.sink(output, &[input])?;
     encode::write_pixels(source, format, &sink, &sink::named(output))?;
-    times.finish(sink)?;
     let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "primitives": 0 }));
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": "CPU" });
-    Ok(Done { text: String::new(), result, notes, fate: Fate::Written })
+    let done = Done { text: String::new(), result, notes, fate: Fate::Written };
+    report(&done)?;
+    times.finish(sink)?;
+    Ok(done)
+}
+
+/// Returns the channels of a picture over its background, if it has one.
+fn channels_over(channels: Channels, background: Option<[u8; 3]>) -> Channels {
+    match background {
+        Some(color) if channels.count() < 3 && color[1..] == [color[0]; 2] => Channels::Grey,
+        Some(_) => Channels::Rgb,
+        None => channels,
+    }
+}
+
+/// Returns a note about a profile that does not fit the samples of the output.
+pub fn misfit(metadata: &Metadata, format: Format, channels: Channels) -> Option<String> {
+    if !format.has_profile() {
+        return None;
+    }
+    let why = metadata.icc.as_ref().and_then(|icc| colour::misfit(icc, format.is_grey(channels)))?;
+    Some(format!("the ICC profile {why}, and is left out"))
 }
 
 /// Returns the orientation to apply, if any.
@@ -200,10 +243,9 @@ fn background(args: &args::Decode, channels: Channels, format: Format, notes: &m
 /// Composites the picture over a background and removes alpha. A grey picture stays grey only if the background is
 /// grey.
 fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
-    let is_grey = pixels.channels().count() < 3 && background[1..] == [background[0]; 2];
     let (count, alpha) = (pixels.channels().count(), pixels.channels().count() - 1);
-    let colors = if is_grey { 1 } else { 3 };
-    let channels = if is_grey { Channels::Grey } else { Channels::Rgb };
+    let channels = channels_over(pixels.channels(), Some(background));
+    let colors = channels.count();
     let most = f64::from(pixels.depth().max());
     let share = |i: usize| match pixels.samples() {
         Samples::U8(v) => f64::from(v[i]) / most,

@@ -12,20 +12,21 @@ use ssplat::SamplesMut;
 use ssplat::report::StageTime;
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels, Samples, Target};
+use ssplat::unstable::colour::Profiles;
+use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, MetadataPolicy, PixelSource, Pixels, Samples, Target};
 
-use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
+use crate::batch::{self, Command, Done, Fate, OutputMode, Report, Show};
 use crate::failure::Failure;
 use crate::input::{self, Input};
 use crate::inputs::Task;
 use crate::kept_times::KeptTimes;
 use crate::progress::{Bar, Stages};
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::{Sink, printable, say, tell};
+use crate::sink::{Identity, Sink, aside, printable, say, tell};
 use crate::sniff::sniff;
-use crate::source::{self, Source, Turn};
+use crate::source::{self, Reading, Source, Turn};
 use crate::spool::{self, Opened, Spooled};
-use crate::{args, carried, compare, drawing, left_out, resize};
+use crate::{args, carried, compare, decode, drawing, left_out, perceived, resize};
 
 /// Extensions of other picture formats that `image` does not know.
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
@@ -37,7 +38,7 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             takes: &is_picture,
             extension: ssplat::EXTENSION,
             pixels: &pixels,
-            run: &|task, show| one(args, task, show),
+            run: &|task, show| one(args, task, show, &|_| Ok(())),
         };
         return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
@@ -60,17 +61,26 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     }
     let bar = Bar::of(output_mode);
     let task = Task::new(input.into(), output.into());
-    let done = one(args, &task, &|share, stage| bar.show(share, stage))?;
-    drop(bar);
-    if output_mode != OutputMode::Quiet {
-        done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
-    }
-    match output_mode {
-        OutputMode::Text if output == Path::new("-") => eprint!("{}", printable(&done.text)),
-        OutputMode::Text => say(&done.text)?,
-        OutputMode::Json => say(&format!("{:#}\n", done.result))?,
-        OutputMode::Quiet => {}
-    }
+    // A report that cannot be written is a failure, which leaves no output.
+    let report = |done: &Done| {
+        let mut outcome = Ok(());
+        bar.aside(|| {
+            if output_mode != OutputMode::Quiet {
+                done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
+            }
+            outcome = match output_mode {
+                OutputMode::Text if output == Path::new("-") => {
+                    aside(&printable(&done.text));
+                    Ok(())
+                }
+                OutputMode::Text => say(&done.text),
+                OutputMode::Json => say(&format!("{:#}\n", done.result)),
+                OutputMode::Quiet => Ok(()),
+            };
+        });
+        outcome
+    };
+    one(args, &task, &|share, stage| bar.show(share, stage), &report)?;
     Ok(())
 }
 
@@ -121,11 +131,14 @@ fn left(time: Option<Duration>, start: Instant) -> Option<Duration> {
 }
 
 /// Encodes one file.
-fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
+fn one(args: &args::Encode, task: &Task, show: &Show, report: &Report) -> Result<Done, Failure> {
     let (input, output) = (task.input.as_path(), task.output.as_path());
     let start = Instant::now();
     show(0.0, "reading");
-    if args.preview.as_deref() == Some(output) {
+    let is_output = |preview: &Path| {
+        preview == output || Identity::of(preview).is_some_and(|one| Identity::of(output) == Some(one))
+    };
+    if args.preview.as_deref().is_some_and(is_output) {
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
     let times = KeptTimes::of(args.keep_times, task)?;
@@ -138,7 +151,7 @@ fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
     let source = match load(args, input, opened, &origin, args.time.and_then(|time| start.checked_add(time)))? {
         Loaded::InParts(picture) => {
             let picture = Parts { picture: *picture, origin, time: left(args.time, start) };
-            return in_parts(args, input, output, show, picture);
+            return in_parts(args, task, (show, report), picture);
         }
         Loaded::Whole(source) => source,
     };
@@ -153,7 +166,7 @@ fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
         notes.push(format!("{asked} primitives are more than the samples of the picture; {samples} are enough"));
     }
     // Detects an output that cannot be written before the work is done.
-    let sink = Sink::create(output, &[input])?;
+    let sink = args.sink(output, &[input])?;
     let preview = args.preview.as_deref().map(|path| Preview::prepare(path, input)).transpose()?;
     show(0.0, "preparing");
     let mut stages = Stages::new(tries(options.target));
@@ -162,28 +175,38 @@ fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
         show(stages.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
-    let encoded = encoded.map_err(|e| refusal(input, &e))?;
+    let mut encoded = encoded.map_err(|e| refusal(input, &e))?;
+    if encoded.report.quality.is_none() && matches!(options.target, Target::Quality(_)) {
+        // The encoder measures no picture of one colour.
+        let decoded = source::decode(output, &encoded.bytes)?;
+        encoded.report.quality = perceived::measure(&pixels, &decoded.pixels).ssimulacra2;
+    }
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
     notes.extend(drawing::note(&pixels, encoded.bytes.len(), encoded.report.psnr));
     let mut done = finished(args, output, &origin, &pixels, &encoded);
     done.notes.splice(0..0, notes);
     if done.fate == Fate::LargerThanInput {
+        report(&done)?;
         return Ok(done);
     }
     // Either both files are written, or none.
     sink.write(&encoded.bytes)?;
+    let mut finished = None;
     if let Some(preview) = preview {
         let path = preview.path;
-        let (found, seconds) = preview.finish(&encoded.bytes, &pixels)?;
+        let (found, seconds) = preview.write(&encoded.bytes, &pixels, &mut done.notes)?;
+        finished = Some(preview.sink);
         done.text += &format!("{}: {}, decoded in {seconds:.3} s\n", path.display(), compare::as_text(&found));
         done.result["preview"] = compare::as_json(&found);
         done.result["preview"]["seconds"] = seconds.into();
     }
-    origin.times.finish(sink)?;
     if args.explain {
         done.text += &explained(output, &encoded)?;
     }
+    report(&done)?;
+    finished.map_or(Ok(()), Sink::finish)?;
+    origin.times.finish(sink)?;
     Ok(done)
 }
 
@@ -210,6 +233,14 @@ fn load(
     origin: &Origin,
     end: Option<Instant>,
 ) -> Result<Loaded, Failure> {
+    // Downscaling in linear light needs the profile.
+    let is_profile_used = args.metadata != MetadataPolicy::None || args.max_side.is_some();
+    let reading = Reading {
+        turn: if args.auto_orient { Turn::Upright } else { Turn::Keep },
+        profiles: if is_profile_used { Profiles::Read } else { Profiles::Ignore },
+        max_side: args.max_side,
+        hidden: args.options().hidden,
+    };
     let is_huge = |size: [u32; 2]| area(size) > ssplat::unstable::MAX_WHOLE_PIXELS;
     let fitted = |size| resize::fitted(size, args.max_side);
     let is_resized = origin.size.is_some_and(|size| fitted(size) != size);
@@ -217,17 +248,20 @@ fn load(
     let stays_in_parts = !is_resized && args.preview.is_none() && !args.auto_orient;
     let is_tiled = args.tiles.is_some() && stays_in_parts;
     if is_tiled || origin.size.is_some_and(is_huge) && (is_resized || stays_in_parts) {
-        match spool::open(path, opened, end)? {
+        match spool::open(path, opened, end, reading.profiles)? {
             Opened::InParts(picture) if is_resized => {
                 let size = fitted(picture.size());
                 let source = picture.resized(path, size, args.options().hidden)?;
                 return Ok(Loaded::Whole(if args.auto_orient { source.upright(path)? } else { source }));
             }
+            Opened::InParts(picture) if picture.width().max(picture.height()) > source::MAX_SIDE => {
+                return Err(source::too_long(path, picture.size()));
+            }
             Opened::InParts(picture) => return Ok(Loaded::InParts(picture)),
             Opened::AsWhole(input) => opened = input,
         }
     }
-    let mut source = source::read(path, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
+    let mut source = source::read(path, opened, &reading)?;
     if args.partial && source.is_cut_off {
         source.notes.push("the file is cut off, so the encoded picture is incomplete".into());
     } else {
@@ -273,17 +307,17 @@ struct Parts {
 /// Encodes a picture that is read from its file part by part.
 fn in_parts(
     args: &args::Encode,
-    input: &Path,
-    output: &Path,
-    show: &Show,
+    task: &Task,
+    (show, report): (&Show, &Report),
     Parts { mut picture, origin, time }: Parts,
 ) -> Result<Done, Failure> {
+    let (input, output) = (task.input.as_path(), task.output.as_path());
     let mut options = args.options();
     options.time = time;
     let (icc, exif, mut notes) = (picture.icc.take(), picture.exif.take(), std::mem::take(&mut picture.notes));
     let orientation = source::orientation_in(exif.as_deref());
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);
-    let sink = Sink::create(output, &[input])?;
+    let sink = args.sink(output, &[input])?;
     let mut stages = Stages::new(1);
     let encoded = Encoder::from(options.clone()).encode_with_progress(&picture, &mut |p| {
         show(stages.at(p.stage, p.done), p.stage);
@@ -295,13 +329,15 @@ fn in_parts(
     let mut done = finished(args, output, &origin, &picture, &encoded);
     done.notes.splice(0..0, notes);
     if done.fate == Fate::LargerThanInput {
+        report(&done)?;
         return Ok(done);
     }
     sink.write(&encoded.bytes)?;
-    origin.times.finish(sink)?;
     if args.explain {
         done.text += &explained(output, &encoded)?;
     }
+    report(&done)?;
+    origin.times.finish(sink)?;
     Ok(done)
 }
 
@@ -384,31 +420,39 @@ impl<'a> Preview<'a> {
 
     /// Decodes `bytes`, writes the pixels, and compares them with `original`. Returns the metrics and the decoding time
     /// in seconds.
-    fn finish(self, bytes: &[u8], original: &Pixels) -> Result<(compare::Found, f64), Failure> {
+    fn write(
+        &self,
+        bytes: &[u8],
+        original: &Pixels,
+        notes: &mut Vec<String>,
+    ) -> Result<(compare::Found, f64), Failure> {
         let start = Instant::now();
         let decoded = source::decode(self.path, bytes)?;
         let seconds = start.elapsed().as_secs_f64();
         let found = compare::measure(original, &decoded.pixels).map_err(|e| Failure::library(self.path, &e))?;
-        write_pixels(decoded, self.format, &self.sink, self.path)?;
-        self.sink.finish()?;
+        notes.extend(write_pixels(decoded, self.format, &self.sink, self.path)?);
         Ok((found, seconds))
     }
 }
 
-/// Writes a picture that is in memory.
-pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<(), Failure> {
+/// Writes a picture that is in memory. Returns a note if its profile does not fit the format.
+pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<Option<String>, Failure> {
     let Source { pixels, icc, exif, .. } = source;
+    format.check(path, pixels.size(), pixels.channels())?;
     let shape =
         Shape { width: pixels.width(), height: pixels.height(), channels: pixels.channels(), depth: pixels.depth() };
     let mut metadata = Metadata::default();
     (metadata.icc, metadata.exif) = (icc, exif);
+    let note = decode::misfit(&metadata, format, pixels.channels());
+    metadata.icc = metadata.icc.filter(|_| note.is_none());
     let io = |e| Failure::io(path, &e);
     let mut rows = RowWriter::new(sink, format, shape, &metadata).map_err(io)?;
     match &mut pixels.into_samples() {
         Samples::U8(samples) => rows.write(SamplesMut::U8(samples)).map_err(io)?,
         Samples::U16(samples) => rows.write(SamplesMut::U16(samples)).map_err(io)?,
     }
-    rows.finish(path)
+    rows.finish(path)?;
+    Ok(note)
 }
 
 /// Returns the result as JSON.

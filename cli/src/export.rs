@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use image::metadata::Orientation;
 use ssplat::{Damage, Limits, Reader};
 
 use crate::exchange::format::ExportFormat;
@@ -9,7 +10,7 @@ use crate::exchange::parameters::Parameters;
 use crate::exchange::{csv, ply, svg};
 use crate::failure::{Failure, Kind};
 use crate::sink::{Sink, tell};
-use crate::{args, input};
+use crate::{args, input, source};
 
 pub fn run(args: &args::Export) -> Result<(), Failure> {
     let format = match args.format {
@@ -21,6 +22,13 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
     let image = Reader::new(&bytes, &Limits::default()).and_then(|r| r.read(Damage::Refuse)).map_err(refused)?;
     if image.splats().detail.is_some() {
         tell(&format!("{}: the detail layer is not exported, only the Gaussians", Failure::input(&args.input)));
+    }
+    if source::orientation_in(image.metadata().exif.as_deref()) != Orientation::NoTransforms {
+        tell(&format!(
+            "{}: the orientation is not exported, so other programs show the picture turned; \
+             `ssplat encode --auto-orient` turns the pixels",
+            Failure::input(&args.input)
+        ));
     }
     let parameters = Parameters::of(&image).map_err(refused)?;
     let file = match format {

@@ -2,10 +2,12 @@
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
-use std::fs::FileTimes;
+use std::fs::{File, FileTimes};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
+use crate::sniff::APPLE_DOUBLE;
 
 /// An input and its output.
 #[derive(Debug)]
@@ -202,6 +204,10 @@ fn list(
         } else if std::fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
             // Pipes and devices may be endless, and links to folders are not followed.
             skipped.files.push(path);
+        } else if is_apple_double(&path) {
+            if !entry.file_name().as_encoded_bytes().starts_with(b".") {
+                skipped.files.push(path);
+            }
         } else if (rules.takes)(&path) {
             files.push((path, name));
         } else if !entry.file_name().as_encoded_bytes().starts_with(b".") {
@@ -209,6 +215,17 @@ fn list(
         }
     }
     Ok(())
+}
+
+/// Whether a file holds the attributes of another file, as macOS writes them beside it on foreign file systems: by its name
+/// or its first bytes.
+fn is_apple_double(path: &Path) -> bool {
+    let is_named = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"._"));
+    let starts = || {
+        let mut start = [0; 4];
+        File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok_and(|()| start == *APPLE_DOUBLE)
+    };
+    is_named || starts()
 }
 
 #[cfg(test)]

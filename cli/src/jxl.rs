@@ -7,15 +7,20 @@ use std::path::Path;
 
 use brotli_decompressor::Decompressor;
 use image::metadata::Orientation;
-use jxl_oxide::color::{ColourEncoding, ColourSpace, Primaries, TransferFunction, WhitePoint};
-use jxl_oxide::{AllocTracker, InitializeResult, JxlImage, JxlThreadPool, Render};
-use ssplat::unstable::colour::{self, Stated};
+use jxl_bitstream::Bitstream;
+use jxl_color::icc::read_icc;
+use jxl_oxide::color::{ColourEncoding, ColourSpace, Customxy, Primaries, TransferFunction, WhitePoint};
+use jxl_oxide::{
+    AllocTracker, EnumColourEncoding, ImageHeader, InitializeResult, JxlImage, JxlThreadPool, Render, RenderingIntent,
+};
+use jxl_oxide_common::Bundle;
+use ssplat::unstable::colour::{self, CodePoints, MAX_PROFILE_BYTES, Profiles, Transfer};
 use ssplat::unstable::input::MAX_ALLOC;
 use ssplat::{Channels, Depth, Pixels, Samples};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
-use crate::source::{self, Source};
+use crate::source::{self, Reading, Source};
 
 /// Largest EXIF block in bytes, decompressed. A compressed block may expand without bound.
 const MAX_EXIF: u64 = 16 << 20;
@@ -30,12 +35,13 @@ const MAX_WORK: u64 = 1 << 32;
 /// Share by which a gamma may differ from 2.2: that for `gAMA` of PNG.
 const SAME_GAMMA: f64 = 0.05;
 
-/// Bytes per pixel and channel while a picture is decoded: two copies of the samples as floats, for filters.
-const BYTES_PER_SAMPLE: u64 = 8;
+/// Bytes per pixel and channel while a picture is decoded: two copies of the samples as floats, for filters, and one more
+/// where the decoder does not convert them to code values.
+const BYTES_PER_SAMPLE: u64 = 12;
 
 /// Decodes the picture in `input`, which came from `path`. The pixels are upright, because JPEG XL has an orientation
 /// of its own, which decoders apply.
-pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
+pub fn read(path: &Path, input: &mut Input, reading: &Reading) -> Result<Source, Failure> {
     let length = input.length().map_err(|e| Failure::io(path, &e))?;
     // There are two copies of the codestream: this one and the decoder's.
     let room = length.checked_mul(2).and_then(|bytes| MAX_ALLOC.checked_sub(bytes)).ok_or_else(|| too_large(path))?;
@@ -45,10 +51,14 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     })?;
     let Boxes { codestream, exif, has_xmp } = boxes;
     let failed = |e: Box<dyn StdError + Send + Sync>| failure(path, &*e);
+    check_profile(path, &codestream)?;
     let image = start(&codestream, AllocTracker::with_limit(usize::try_from(room).unwrap_or(usize::MAX)));
     let mut image = image.map_err(failed)?.ok_or_else(|| broken(path, "ends before its picture begins"))?;
     drop(codestream);
     let (area, channels) = (u64::from(image.width()) * u64::from(image.height()), all_channels(&image));
+    if image.width().max(image.height()) > source::MAX_SIDE {
+        return Err(source::too_long(path, [image.width(), image.height()]));
+    }
     if area.checked_mul(channels * BYTES_PER_SAMPLE).is_none_or(|bytes| bytes > room) {
         return Err(too_large(path));
     }
@@ -59,9 +69,13 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     if has_xmp {
         notes.push("its XMP block is left out".into());
     }
-    if image.pixel_format().has_black() {
-        image.request_color_encoding(jxl_oxide::EnumColourEncoding::srgb(jxl_oxide::RenderingIntent::Relative));
+    let is_srgb = image.pixel_format().has_black();
+    if is_srgb {
+        image.request_color_encoding(srgb());
     }
+    // The profile or the code points of the pixels.
+    let colors = colors_of(&image, is_srgb);
+    let from_pq = without_tone_mapping(&mut image, is_srgb);
     let frames = image.frame_by_keyframe(0).map_or(image.num_loaded_frames(), |frame| frame.index() + 1);
     if area.saturating_mul(frames as u64) > MAX_WORK {
         let message = format!("{}: blends {frames} frames of {area} pixels", Failure::input(path));
@@ -73,14 +87,16 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
         Err(_) if is_cut_off => return Err(broken(path, "ends before its picture does")),
         render => render.map_err(failed)?,
     };
-    let pixels = pixels(path, &image, &render)?;
+    let pixels = pixels(path, &image, &render, from_pq)?;
     drop(render);
-    let stated = colours(&image, pixels.channels());
-    notes.extend(stated.note.map(String::from));
-    let mut icc = match stated.note {
-        Some(_) => None,
-        None if has_usual_gamma(&image) => None,
-        None => stated.or(Some(image.rendered_icc())),
+    let mut icc = match &colors {
+        _ if reading.profiles == Profiles::Ignore => None,
+        Colors::Icc(icc) => Some(icc.clone()),
+        Colors::Enum(encoding) => {
+            let CodePoints { icc, note } = profile_of(encoding);
+            notes.extend(note.map(String::from));
+            icc
+        }
     };
     source::keep_fitting(&mut icc, pixels.channels(), &mut notes);
     let mut exif = exif;
@@ -91,6 +107,7 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
 /// Returns width and height of the picture in `input`, or `None` if they are unknown. Moves the position of the input.
 pub fn size(input: &mut Input) -> Option<[u32; 2]> {
     let boxes = Boxes::read(input, MAX_HEADER).ok()?;
+    check_profile(Path::new(""), &boxes.codestream).ok()?;
     let image = start(&boxes.codestream, AllocTracker::with_limit(MAX_HEADER as usize)).ok()??;
     Some([image.width(), image.height()])
 }
@@ -113,7 +130,7 @@ fn all_channels(image: &JxlImage) -> u64 {
 }
 
 /// Returns the samples of a rendered frame, with straight alpha.
-fn pixels(path: &Path, image: &JxlImage, render: &Render) -> Result<Pixels, Failure> {
+fn pixels(path: &Path, image: &JxlImage, render: &Render, from_pq: Option<FromPq>) -> Result<Pixels, Failure> {
     let format = image.pixel_format();
     let channels = match (format.is_grayscale(), format.has_alpha()) {
         (true, false) => Channels::Grey,
@@ -130,16 +147,33 @@ fn pixels(path: &Path, image: &JxlImage, render: &Render) -> Result<Pixels, Fail
     let count = width as usize * height as usize * channels.count();
     let metadata = &image.image_header().metadata;
     let is_premultiplied = metadata.ec_info.iter().find_map(|info| info.alpha_associated()).unwrap_or(false);
-    let samples = if metadata.bit_depth.bits_per_sample() <= 8 {
+    let is_deep = metadata.bit_depth.bits_per_sample() > 8;
+    let mut floats: Vec<f32> = Vec::new();
+    if let Some(from_pq) = from_pq {
+        floats = zeros(path, count)?;
+        stream.write_to_buffer::<f32>(&mut floats);
+        let colors = channels.count() - usize::from(channels.alpha().is_some());
+        for pixel in floats.chunks_exact_mut(channels.count()) {
+            pixel[..colors].iter_mut().for_each(|sample| *sample = from_pq.convert(*sample));
+        }
+    }
+    let code = |sample: f32, max: f32| sample.clamp(0.0, 1.0) * max + 0.5;
+    let samples = if !is_deep {
         let mut samples = zeros(path, count)?;
-        stream.write_to_buffer::<u8>(&mut samples);
+        match from_pq {
+            Some(_) => samples.iter_mut().zip(&floats).for_each(|(out, v)| *out = code(*v, 255.0) as u8),
+            None => drop(stream.write_to_buffer::<u8>(&mut samples)),
+        }
         if is_premultiplied {
             divide(&mut samples, channels, Depth::Eight);
         }
         Samples::U8(samples)
     } else {
         let mut samples = zeros(path, count)?;
-        stream.write_to_buffer::<u16>(&mut samples);
+        match from_pq {
+            Some(_) => samples.iter_mut().zip(&floats).for_each(|(out, v)| *out = code(*v, 65535.0) as u16),
+            None => drop(stream.write_to_buffer::<u16>(&mut samples)),
+        }
         if is_premultiplied {
             divide(&mut samples, channels, Depth::Sixteen);
         }
@@ -171,21 +205,154 @@ fn divide<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], channels: Chann
     }
 }
 
-/// Returns the colour space of the header, if code points can express it.
-fn colours(image: &JxlImage, channels: Channels) -> Stated {
-    image.rendered_cicp().map_or_else(Stated::default, |cicp| colour::of_cicp(cicp, channels.count() < 3))
+/// Refuses a codestream whose profile is longer than [`MAX_PROFILE_BYTES`], before it is decompressed. A codestream that
+/// cannot be parsed is left to the decoder.
+fn check_profile(path: &Path, codestream: &[u8]) -> Result<(), Failure> {
+    let mut bits = Bitstream::new(codestream);
+    let Ok(header) = ImageHeader::parse(&mut bits, ()) else { return Ok(()) };
+    if !header.metadata.colour_encoding.want_icc() {
+        return Ok(());
+    }
+    let refused = |bytes: u64| {
+        let message = format!(
+            "{}: its ICC profile has {bytes} bytes, more than the {MAX_PROFILE_BYTES} that are read",
+            Failure::input(path)
+        );
+        Err(Failure { kind: Kind::Limit, message })
+    };
+    // The length of the coded profile; its first number is the length of the profile itself.
+    match bits.clone().read_u64() {
+        Ok(bytes) if bytes > MAX_PROFILE_BYTES => return refused(bytes),
+        Ok(_) => {}
+        Err(_) => return Ok(()),
+    }
+    let Ok(coded) = read_icc(&mut bits) else { return Ok(()) };
+    let number = coded.iter().take(9).enumerate().try_fold(0u64, |sum, (k, &byte)| {
+        let sum = sum | u64::from(byte & 0x7F) << (7 * k);
+        if byte & 0x80 == 0 { Err(sum) } else { Ok(sum) }
+    });
+    let bytes = number.unwrap_or_else(|sum| sum);
+    if bytes > MAX_PROFILE_BYTES { refused(bytes) } else { Ok(()) }
 }
 
-/// Whether the header states the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes
-/// it. It stands for sRGB, as it does in PNG.
-fn has_usual_gamma(image: &JxlImage) -> bool {
-    let ColourEncoding::Enum(encoding) = &image.image_header().metadata.colour_encoding else { return false };
-    let TransferFunction::Gamma { g, .. } = encoding.tf else { return false };
+/// The colours of the pixels.
+enum Colors {
+    Icc(Vec<u8>),
+    Enum(EnumColourEncoding),
+}
+
+/// Returns the colours of the pixels as they are rendered.
+fn colors_of(image: &JxlImage, is_srgb: bool) -> Colors {
+    match &image.image_header().metadata.colour_encoding {
+        _ if is_srgb => Colors::Enum(srgb()),
+        ColourEncoding::Enum(encoding) => Colors::Enum(encoding.clone()),
+        ColourEncoding::IccProfile(_) => Colors::Icc(image.rendered_icc()),
+    }
+}
+
+fn srgb() -> EnumColourEncoding {
+    EnumColourEncoding::srgb(RenderingIntent::Relative)
+}
+
+/// Returns the profile of a colour space, or a note if no profile can express it.
+fn profile_of(encoding: &EnumColourEncoding) -> CodePoints {
+    let is_grey = encoding.colour_space == ColourSpace::Grey;
+    // ITU-T H.273: PQ and HLG.
+    let code_points = |transfer| colour::of_cicp([1, transfer, 0, 1], is_grey);
+    let transfer = match encoding.tf {
+        TransferFunction::Pq => return code_points(16),
+        TransferFunction::Hlg => return code_points(18),
+        TransferFunction::Bt709 => Transfer::Bt709,
+        TransferFunction::Linear => Transfer::Gamma(1.0),
+        TransferFunction::Dci => Transfer::Gamma(2.6),
+        TransferFunction::Gamma { .. } if has_usual_gamma(encoding) => return CodePoints::default(),
+        TransferFunction::Gamma { .. } => Transfer::Gamma(exponent(encoding.tf)),
+        TransferFunction::Srgb | TransferFunction::Unknown => Transfer::Srgb,
+    };
+    let xy = |point: &Customxy| point.as_float().map(f64::from);
+    let white = match &encoding.white_point {
+        WhitePoint::D65 => [0.3127, 0.329],
+        WhitePoint::E => [1.0 / 3.0; 2],
+        WhitePoint::Dci => [0.314, 0.351],
+        WhitePoint::Custom(white) => xy(white),
+    };
+    let primaries = match &encoding.primaries {
+        Primaries::Srgb => [[0.64, 0.33], [0.3, 0.6], [0.15, 0.06]],
+        Primaries::Bt2100 => [[0.708, 0.292], [0.17, 0.797], [0.131, 0.046]],
+        Primaries::P3 => [[0.68, 0.32], [0.265, 0.69], [0.15, 0.06]],
+        Primaries::Custom { red, green, blue } => [red, green, blue].map(xy),
+    };
+    let [[rx, ry], [gx, gy], [bx, by]] = primaries;
+    let chromaticities = [white[0], white[1], rx, ry, gx, gy, bx, by];
+    CodePoints { icc: colour::of_chromaticities(chromaticities, transfer, is_grey), note: None }
+}
+
+/// Returns the exponent of a gamma that converts encoded values to light; 1 for other functions.
+fn exponent(transfer: TransferFunction) -> f64 {
+    match transfer {
+        TransferFunction::Gamma { g, inverted: false } => f64::from(g) / 1e7,
+        TransferFunction::Gamma { g, inverted: true } => 1e7 / f64::from(g.max(1)),
+        _ => 1.0,
+    }
+}
+
+/// Whether the encoding is the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes it. It
+/// stands for sRGB, as it does in PNG.
+fn has_usual_gamma(encoding: &EnumColourEncoding) -> bool {
     let is_srgb = encoding.colour_space == ColourSpace::Grey || matches!(encoding.primaries, Primaries::Srgb);
-    let exponent = f64::from(g) / 1e7;
-    is_srgb
-        && matches!(encoding.white_point, WhitePoint::D65)
-        && [1.0 / 2.2, 2.2].iter().any(|usual| (exponent / usual - 1.0).abs() < SAME_GAMMA)
+    is_srgb && matches!(encoding.white_point, WhitePoint::D65) && (exponent(encoding.tf) / 2.2 - 1.0).abs() < SAME_GAMMA
+}
+
+/// Converts samples in PQ to those of the encoding in the header.
+#[derive(Debug, Clone, Copy)]
+struct FromPq {
+    /// Light of code value 1 in the header's encoding, in the unit of PQ, which is 10 000 nits.
+    white: f32,
+    to: TransferFunction,
+}
+
+impl FromPq {
+    fn convert(self, sample: f32) -> f32 {
+        // SMPTE ST 2084.
+        const M1: f32 = 2610.0 / 16384.0;
+        const M2: f32 = 2523.0 / 4096.0 * 128.0;
+        const C1: f32 = 3424.0 / 4096.0;
+        const C2: f32 = 2413.0 / 4096.0 * 32.0;
+        const C3: f32 = 2392.0 / 4096.0 * 32.0;
+        let power = sample.clamp(0.0, 1.0).powf(1.0 / M2);
+        let light = ((power - C1).max(0.0) / (C2 - C3 * power)).powf(1.0 / M1);
+        let light = (light / self.white).clamp(0.0, 1.0);
+        match self.to {
+            TransferFunction::Srgb if light <= 0.003_130_8 => 12.92 * light,
+            TransferFunction::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+            TransferFunction::Bt709 if light < 0.018 => 4.5 * light,
+            TransferFunction::Bt709 => 1.099 * light.powf(0.45) - 0.099,
+            TransferFunction::Dci => light.powf(1.0 / 2.6),
+            to => light.powf(1.0 / exponent(to) as f32),
+        }
+    }
+}
+
+/// Intensity of white in nits above which the decoder maps tones.
+const SDR: f32 = 255.0;
+
+/// Keeps the decoder from mapping tones: it would darken pictures whose white is above [`SDR`] for displays that cannot
+/// show it. libjxl does so only for displays that it knows. Returns how to convert the samples that it then renders.
+fn without_tone_mapping(image: &mut JxlImage, is_srgb: bool) -> Option<FromPq> {
+    let metadata = &image.image_header().metadata;
+    let intensity = metadata.tone_mapping.intensity_target;
+    let encoding = match &metadata.colour_encoding {
+        _ if is_srgb => return None,
+        ColourEncoding::Enum(encoding) => encoding.clone(),
+        ColourEncoding::IccProfile(_) => return None,
+    };
+    let is_hdr = matches!(encoding.tf, TransferFunction::Pq | TransferFunction::Hlg);
+    if !metadata.xyb_encoded || intensity.is_nan() || intensity <= SDR || is_hdr {
+        return None;
+    }
+    let from = FromPq { white: intensity / 10_000.0, to: encoding.tf };
+    image.request_color_encoding(EnumColourEncoding { tf: TransferFunction::Pq, ..encoding });
+    Some(from)
 }
 
 fn failure(path: &Path, error: &(dyn StdError + 'static)) -> Failure {
@@ -296,6 +463,40 @@ fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Returns a codestream that ends where a coded profile of `length` bytes begins.
+    fn with_profile(length: u64) -> Vec<u8> {
+        let mut bits: Vec<bool> = Vec::new();
+        let mut put = |value: u64, count: u32| (0..count).for_each(|k| bits.push(value >> k & 1 == 1));
+        put(0x0AFF, 16);
+        // A square of 8 pixels.
+        let size = [(1, 1), (0, 5), (1, 3)];
+        // Not all default, no extra fields, integers, 8 bits, short buffers, no extra channels, not XYB.
+        let samples = [(0, 1), (0, 1), (0, 1), (0, 2), (1, 1), (0, 2), (0, 1)];
+        // A colour encoding that is a profile for RGB; no extensions, and all else default.
+        let colors = [(0, 1), (1, 1), (0, 2), (0, 2), (1, 1)];
+        for &(value, count) in [&size[..], &samples, &colors].into_iter().flatten() {
+            put(value, count);
+        }
+        put(3, 2);
+        put(length & 0xFFF, 12);
+        for byte in (0..6).map(|k| length >> (12 + 8 * k)).take_while(|&rest| rest > 0) {
+            put(1, 1);
+            put(byte & 0xFF, 8);
+        }
+        put(0, 1);
+        bits.chunks(8).map(|byte| byte.iter().rev().fold(0, |sum, &bit| sum << 1 | u8::from(bit))).collect()
+    }
+
+    #[test]
+    fn a_long_profile_is_refused_before_it_is_decompressed() {
+        for length in [5 << 20, 200 << 20, 1 << 40] {
+            let refused = check_profile(Path::new("a.jxl"), &with_profile(length)).unwrap_err();
+            assert_eq!(refused.kind, Kind::Limit);
+            assert!(refused.message.contains(&format!("has {length} bytes")), "{}", refused.message);
+        }
+        assert!(check_profile(Path::new("a.jxl"), &with_profile(4000)).is_ok());
+    }
 
     #[test]
     fn premultiplied_colours_become_straight() {

@@ -11,14 +11,17 @@ mod decode;
 mod drawing;
 mod encode;
 mod exchange;
+mod exif_text;
 mod export;
 pub mod failure;
+mod floats;
 mod formats;
 mod guard;
 mod import;
 mod info;
 pub mod input;
 mod inputs;
+mod jpeg_end;
 #[cfg(feature = "jxl")]
 mod jxl;
 mod kept_times;
@@ -34,6 +37,7 @@ pub mod sink;
 mod sniff;
 pub mod source;
 mod spool;
+mod tiff;
 mod view;
 
 use std::process::ExitCode;

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::guard;
+use crate::source::MAX_SIDE;
 
 /// The filter, and its radius in pixels of the output.
 const FILTER: FilterType = FilterType::Lanczos3;
@@ -130,12 +131,18 @@ impl<'a> Resize<'a> {
         for (y, means) in rows.zip(means.chunks_exact_mut(row)) {
             let top = y * self.block[1];
             let tall = self.block[1].min(height - top);
-            let part = self.source.part(Rect::new(0, top, width, tall))?;
-            match part.samples() {
-                Samples::U8(samples) => self.add(samples, means),
-                Samples::U16(samples) => self.add(samples, means),
-            }
+            // A part has no more columns than a picture may have, in whole blocks.
+            let blocks_of_part = (MAX_SIDE / self.block[0]).max(1);
             let count = self.source.channels().count();
+            for (k, means) in means.chunks_mut(blocks_of_part as usize * count).enumerate() {
+                let left = k as u32 * blocks_of_part * self.block[0];
+                let wide = (blocks_of_part * self.block[0]).min(width - left);
+                let part = self.source.part(Rect::new(left, top, wide, tall))?;
+                match part.samples() {
+                    Samples::U8(samples) => self.add(samples, wide, means),
+                    Samples::U16(samples) => self.add(samples, wide, means),
+                }
+            }
             for (x, mean) in means.chunks_exact_mut(count).enumerate() {
                 let wide = self.block[0].min(width - x as u32 * self.block[0]);
                 let share = 1.0 / (f64::from(wide) * f64::from(tall)) as f32;
@@ -145,12 +152,12 @@ impl<'a> Resize<'a> {
         Ok(means)
     }
 
-    /// Adds the samples of a row of blocks to the sums of the blocks.
-    fn add<T: Copy + Into<usize>>(&self, samples: &[T], sums: &mut [f32]) {
+    /// Adds the samples of a row of blocks, `width` pixels wide, to the sums of the blocks.
+    fn add<T: Copy + Into<usize>>(&self, samples: &[T], width: u32, sums: &mut [f32]) {
         let channels = self.source.channels();
         let (count, colors) = (channels.count(), self.curves.len());
         let max = f32::from(self.source.depth().max());
-        for line in samples.chunks_exact(self.source.width() as usize * count) {
+        for line in samples.chunks_exact(width as usize * count) {
             let blocks = line.chunks(self.block[0] as usize * count).zip(sums.chunks_exact_mut(count));
             for (pixels, sum) in blocks {
                 for pixel in pixels.chunks_exact(count) {

@@ -34,6 +34,10 @@ const WHOLE: [ImageFormat; 7] = [
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     Png,
+    /// `P6`; grey becomes equal red, green and blue.
+    Ppm,
+    /// `P5`, for grey pictures only.
+    Pgm,
     /// `P5` or `P6`, or `P7` for pictures with alpha.
     Pnm,
     /// Always `P7`.
@@ -47,7 +51,9 @@ impl Format {
     pub fn from_extension(extension: &str) -> Result<Format, Failure> {
         match extension.to_ascii_lowercase().as_str() {
             "png" => Ok(Format::Png),
-            "pnm" | "ppm" | "pgm" => Ok(Format::Pnm),
+            "ppm" => Ok(Format::Ppm),
+            "pgm" => Ok(Format::Pgm),
+            "pnm" => Ok(Format::Pnm),
             "pam" => Ok(Format::Pam),
             other => match ImageFormat::from_extension(other) {
                 Some(format) if WHOLE.contains(&format) => Ok(Format::Whole(format)),
@@ -68,7 +74,45 @@ impl Format {
 impl Format {
     /// Whether the format supports alpha.
     pub fn has_alpha(self) -> bool {
-        self != Format::Whole(ImageFormat::Jpeg)
+        !matches!(self, Format::Whole(ImageFormat::Jpeg) | Format::Ppm | Format::Pgm)
+    }
+
+    /// Whether the format can store an ICC profile.
+    pub fn has_profile(self) -> bool {
+        matches!(self, Format::Png | Format::Whole(ImageFormat::Jpeg | ImageFormat::WebP | ImageFormat::Tiff))
+    }
+
+    /// Whether the format stores pictures of `channels` as grey.
+    pub fn is_grey(self, channels: Channels) -> bool {
+        channels.count() < 3 && !matches!(self, Format::Ppm | Format::Whole(ImageFormat::WebP | ImageFormat::Qoi))
+    }
+
+    /// Returns the name of the format and its longest side in pixels, if that is less than a picture may have.
+    fn longest_side(self) -> Option<(&'static str, u32)> {
+        Some(match self {
+            Format::Whole(ImageFormat::WebP) => ("WebP", 16_383),
+            Format::Whole(ImageFormat::Jpeg) => ("JPEG", 65_535),
+            Format::Whole(ImageFormat::Tga) => ("TGA", 65_535),
+            _ => return None,
+        })
+    }
+
+    /// Checks that the format can hold a picture of `size` and `channels`, which is written to `path`.
+    ///
+    /// # Errors
+    /// A usage error if it cannot.
+    pub fn check(self, path: &Path, [width, height]: [u32; 2], channels: Channels) -> Result<(), Failure> {
+        let path = path.display();
+        if let Some((name, most)) = self.longest_side().filter(|&(_, most)| width.max(height) > most) {
+            return Err(Failure::usage(format!(
+                "{path}: {name} holds at most {most} pixels a side, and the picture has {width} × {height}: \
+                 write another format, or a smaller picture with --width or --scale"
+            )));
+        }
+        if self == Format::Pgm && channels.count() >= 3 {
+            return Err(Failure::usage(format!("{path}: PGM holds grey pictures only: write PPM instead")));
+        }
+        Ok(())
     }
 
     /// Returns notes about depth and metadata that the format does not support.
@@ -119,7 +163,14 @@ pub struct RowWriter<'a> {
 enum Out<'a> {
     Png(Box<png::StreamWriter<'static, Box<dyn Write>>>),
     Pnm(Box<dyn Write>),
-    Whole { format: ImageFormat, samples: Samples, metadata: &'a Metadata, writer: Box<dyn Write> },
+    /// Grey samples of so many bytes, which are written three times.
+    Tripled(Box<dyn Write>, usize),
+    Whole {
+        format: ImageFormat,
+        samples: Samples,
+        metadata: &'a Metadata,
+        writer: Box<dyn Write>,
+    },
 }
 
 impl<'a> RowWriter<'a> {
@@ -128,9 +179,13 @@ impl<'a> RowWriter<'a> {
         let mut writer = sink.writer()?;
         let out = match format {
             Format::Png => Out::Png(Box::new(start_png(writer, shape, metadata)?)),
-            Format::Pnm | Format::Pam => {
+            Format::Ppm | Format::Pgm | Format::Pnm | Format::Pam => {
                 writer.write_all(pnm_header(shape, format).as_bytes())?;
-                Out::Pnm(writer)
+                if format == Format::Ppm && shape.channels == Channels::Grey {
+                    Out::Tripled(writer, shape.depth.bytes())
+                } else {
+                    Out::Pnm(writer)
+                }
             }
             Format::Whole(format) => {
                 let count = u64::from(shape.width) * u64::from(shape.height) * shape.channels.count() as u64;
@@ -167,6 +222,11 @@ impl<'a> RowWriter<'a> {
         match &mut self.out {
             Out::Png(out) => out.write_all(bytes),
             Out::Pnm(out) => out.write_all(bytes),
+            Out::Tripled(out, length) => {
+                let tripled: Vec<u8> =
+                    bytes.chunks_exact(*length).flat_map(|sample| [sample; 3]).flatten().copied().collect();
+                out.write_all(&tripled)
+            }
             Out::Whole { .. } => unreachable!("rows have the depth that the writer was made for"),
         }
     }
@@ -176,7 +236,7 @@ impl<'a> RowWriter<'a> {
         let io = |e: io::Error| Failure::io(path, &e);
         match self.out {
             Out::Png(out) => out.finish().map_err(|e| io(e.into())),
-            Out::Pnm(mut out) => out.flush().map_err(io),
+            Out::Pnm(mut out) | Out::Tripled(mut out, _) => out.flush().map_err(io),
             Out::Whole { format, samples, metadata, mut writer } => {
                 let Shape { width, height, channels, .. } = self.shape;
                 let pixels = Pixels::new(width, height, channels, samples).map_err(|e| Failure::library(path, &e))?;
@@ -229,8 +289,10 @@ fn pnm_header(shape: Shape, format: Format) -> String {
     let Shape { width, height, channels, depth } = shape;
     let max = depth.max();
     let tuple = match (channels, format) {
-        (Channels::Grey, Format::Pnm) => return format!("P5\n{width} {height}\n{max}\n"),
-        (Channels::Rgb, Format::Pnm) => return format!("P6\n{width} {height}\n{max}\n"),
+        (Channels::Grey, Format::Pnm | Format::Pgm) => return format!("P5\n{width} {height}\n{max}\n"),
+        (Channels::Rgb, Format::Pnm) | (Channels::Grey | Channels::Rgb, Format::Ppm) => {
+            return format!("P6\n{width} {height}\n{max}\n");
+        }
         (Channels::Grey, _) => "GRAYSCALE",
         (Channels::GreyAlpha, _) => "GRAYSCALE_ALPHA",
         (Channels::Rgb, _) => "RGB",

@@ -5,6 +5,8 @@ use std::borrow::Cow;
 use std::fs::{File, FileTimes};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+#[cfg(unix)]
+use std::sync::Arc;
 use std::sync::Mutex;
 
 use tempfile::NamedTempFile;
@@ -17,23 +19,97 @@ static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Exit status after an interrupt: that of shells for SIGINT.
 const INTERRUPTED: i32 = 130;
 
-/// Installs a handler for Ctrl-C and SIGTERM that removes unfinished files and exits.
+/// Removes unfinished files and exits.
+fn interrupted() -> ! {
+    // The lock is held until the exit, so that no file is renamed or created meanwhile.
+    let unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
+    for path in unfinished.iter() {
+        let _ = std::fs::remove_file(path);
+    }
+    tell("interrupted");
+    std::process::exit(INTERRUPTED);
+}
+
+/// Installs a handler for the signals that end a program (Ctrl-C and Ctrl-\\, SIGTERM, SIGHUP) that removes unfinished
+/// files and exits. A file that exceeds the limit of its size becomes an error of writing instead of a signal.
+#[cfg(unix)]
 pub fn remove_on_interrupt() -> Result<(), Failure> {
-    let handler = || {
-        // The lock is held until the exit, so that no file is renamed or created meanwhile.
-        let unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
-        for path in unfinished.iter() {
-            let _ = std::fs::remove_file(path);
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGXFSZ};
+    let failed = |e: io::Error| Failure { kind: Kind::Other, message: format!("signal handler: {e}") };
+    // A signal that is handled no longer ends the program, and writing returns EFBIG.
+    signal_hook::flag::register(SIGXFSZ, Arc::default()).map_err(failed)?;
+    let mut signals = signal_hook::iterator::Signals::new([SIGHUP, SIGINT, SIGQUIT, SIGTERM]).map_err(failed)?;
+    let wait = move || {
+        if signals.forever().next().is_some() {
+            interrupted();
         }
-        eprintln!("ssplat: interrupted");
-        std::process::exit(INTERRUPTED);
     };
-    ctrlc::set_handler(handler).map_err(|e| Failure { kind: Kind::Other, message: format!("signal handler: {e}") })
+    std::thread::Builder::new().name("signals".into()).spawn(wait).map_err(failed)?;
+    Ok(())
+}
+
+/// Installs a handler for Ctrl-C that removes unfinished files and exits.
+#[cfg(not(unix))]
+pub fn remove_on_interrupt() -> Result<(), Failure> {
+    ctrlc::set_handler(|| interrupted())
+        .map_err(|e| Failure { kind: Kind::Other, message: format!("signal handler: {e}") })
 }
 
 /// Prints a message on standard error, with the name of the program.
 pub fn tell(message: &str) {
-    eprintln!("ssplat: {}", printable(message));
+    aside(&format!("ssplat: {}\n", printable(message)));
+}
+
+/// Prints `text` on standard error, if that is possible.
+pub fn aside(text: &str) {
+    let _ = io::stderr().lock().write_all(text.as_bytes());
+}
+
+/// What happens to an output that exists and is read-only.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ReadOnly {
+    Keep,
+    Replace,
+}
+
+/// What identifies a file, whatever its paths and links.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Identity(#[cfg(unix)] (u64, u64), #[cfg(not(unix))] PathBuf);
+
+impl Identity {
+    /// Returns the identity of the file at `path`, or of standard input for `-`; `None` if there is none.
+    pub fn of(path: &Path) -> Option<Identity> {
+        if path == Path::new("-") { Identity::of_standard_input() } else { Identity::of_file(path) }
+    }
+
+    #[cfg(unix)]
+    fn of_file(path: &Path) -> Option<Identity> {
+        std::fs::metadata(path).ok().and_then(|found| Identity::from_metadata(&found))
+    }
+
+    /// Devices and pipes have no identity, because writing to them replaces nothing.
+    #[cfg(unix)]
+    fn from_metadata(found: &std::fs::Metadata) -> Option<Identity> {
+        use std::os::unix::fs::MetadataExt;
+        found.is_file().then(|| Identity((found.dev(), found.ino())))
+    }
+
+    #[cfg(unix)]
+    fn of_standard_input() -> Option<Identity> {
+        use std::os::fd::AsFd;
+        let file = File::from(io::stdin().as_fd().try_clone_to_owned().ok()?);
+        Identity::from_metadata(&file.metadata().ok()?)
+    }
+
+    #[cfg(not(unix))]
+    fn of_file(path: &Path) -> Option<Identity> {
+        std::fs::canonicalize(path).ok().map(Identity)
+    }
+
+    #[cfg(not(unix))]
+    fn of_standard_input() -> Option<Identity> {
+        None
+    }
 }
 
 /// Escapes control characters for a terminal, because file names, profiles and errors of decoders contain untrusted
@@ -73,8 +149,14 @@ enum Out {
 }
 
 impl Sink {
-    /// Creates the output for `path`, or for standard output if that is `-`. It must not replace any of `inputs`.
+    /// Creates the output for `path`, or for standard output if that is `-`. It must not replace any of `inputs`, nor a
+    /// read-only file.
     pub fn create(path: &Path, inputs: &[&Path]) -> Result<Sink, Failure> {
+        Sink::replacing(path, inputs, ReadOnly::Keep)
+    }
+
+    /// As [`create`](Sink::create), with a choice for read-only files.
+    pub fn replacing(path: &Path, inputs: &[&Path], read_only: ReadOnly) -> Result<Sink, Failure> {
         let path_buf = named(path);
         if path == Path::new("-") {
             return Ok(Sink { path: path_buf, out: Out::Stdout });
@@ -96,10 +178,14 @@ impl Sink {
             Err(e) if e.kind() == io::ErrorKind::NotFound => followed(path).map_err(io)?,
             Err(e) => return Err(io(e)),
         };
-        for input in inputs {
-            if std::fs::canonicalize(input).is_ok_and(|i| i == target) {
-                return Err(Failure::usage(format!("{}: is the input; it is not overwritten", path.display())));
-            }
+        let there = std::fs::metadata(&target).ok();
+        let identity = Identity::of(&target);
+        if identity.is_some() && inputs.iter().any(|input| Identity::of(input) == identity) {
+            return Err(Failure::usage(format!("{}: is the input; it is not overwritten", path.display())));
+        }
+        if read_only == ReadOnly::Keep && there.as_ref().is_some_and(|there| there.permissions().readonly()) {
+            let message = format!("{}: is read-only; make it writable, or use --overwrite", path.display());
+            return Err(Failure { kind: Kind::Io, message });
         }
         let folder = match target.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -108,7 +194,7 @@ impl Sink {
         let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
         let file = temporary().tempfile_in(folder).map_err(|e| io(plain(&e, folder)))?;
         // The new file gets the permissions of the old one.
-        if let Ok(there) = std::fs::metadata(&target) {
+        if let Some(there) = there {
             file.as_file().set_permissions(there.permissions()).map_err(io)?;
         }
         unfinished.push(file.path().to_path_buf());

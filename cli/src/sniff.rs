@@ -1,6 +1,8 @@
 //! Detects formats that the `image` crate does not detect by their first bytes: JPEG XL, and formats in the HEIF
 //! container.
 
+use crate::failure::Kind;
+
 /// A format that `image` does not detect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sniffed {
@@ -60,6 +62,40 @@ impl Sniffed {
             }
         }
     }
+}
+
+/// The first bytes of the side files in which macOS keeps attributes on other file systems (RFC 1740).
+pub const APPLE_DOUBLE: &[u8; 4] = b"\x00\x05\x16\x07";
+
+/// Returns what a file that begins with `start` is, if it is no picture that any build reads, and what to do. Only the
+/// messages depend on it.
+pub fn refusal_of_others(start: &[u8]) -> Option<(Kind, &'static str)> {
+    let text = start.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(start).trim_ascii_start();
+    let lower = text[..text.len().min(1024)].to_ascii_lowercase();
+    let has = |word: &[u8]| lower.windows(word.len()).any(|window| window == word);
+    let is_markup = lower.starts_with(b"<!") || lower.starts_with(b"<?xml") || lower.starts_with(b"<html");
+    Some(match start {
+        _ if lower.starts_with(b"<svg") || is_markup && has(b"<svg") && !has(b"<html") => {
+            (Kind::Unsupported, "is an SVG drawing: convert it first, with `rsvg-convert IN.svg -o OUT.png`")
+        }
+        _ if is_markup || lower.starts_with(b"<head") || lower.starts_with(b"<body") => {
+            (Kind::Format, "is HTML or XML, and not a picture: is the path or the address right?")
+        }
+        _ if lower.starts_with(b"version https://git-lfs.") => {
+            (Kind::Format, "is a pointer of Git LFS, and not the picture itself: `git lfs pull` fetches it")
+        }
+        _ if start.starts_with(APPLE_DOUBLE) => {
+            (Kind::Format, "holds attributes that macOS keeps beside a file (AppleDouble), and no picture")
+        }
+        [b'%', b'P', b'D', b'F', ..] => {
+            (Kind::Unsupported, "is a PDF file: convert it first, with `pdftoppm -png IN.pdf OUT`")
+        }
+        [b'8', b'B', b'P', b'S', ..] => (Kind::Unsupported, "is a Photoshop file: export it as PNG first"),
+        [0, 0, 0, 12, b'j', b'P', b' ', b' ', ..] | [0xFF, 0x4F, 0xFF, 0x51, ..] => {
+            (Kind::Unsupported, "is a JPEG 2000 file: convert it first, with `opj_decompress -i IN.jp2 -o OUT.png`")
+        }
+        _ => return None,
+    })
 }
 
 #[cfg(test)]

@@ -1,25 +1,46 @@
 //! Reads pictures of any supported format, with their ICC profiles and EXIF blocks.
 
-use std::io::Seek;
+use std::io::{ErrorKind, Read, Seek};
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageReader};
+use image::{DynamicImage, GenericImageView, ImageDecoder, ImageFormat, ImageReader};
+use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
+use ssplat::unstable::colour::{self, Profiles, Stated};
 use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
-use ssplat::unstable::{DecodeOptions, colour};
-use ssplat::{Channels, Error, HiddenColors, Limits, Pixels};
+use ssplat::{Channels, HiddenColors, Limits, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::input::{self, Input};
-use crate::sniff::{Sniffed, sniff};
-use crate::{completeness, guard, resize};
+use crate::sniff::{Sniffed, refusal_of_others, sniff};
+use crate::{completeness, exif_text, floats, guard, jpeg_end, resize, tiff};
+
+/// Longest side of a picture in pixels.
+pub const MAX_SIDE: u32 = 1 << 20;
 
 /// Whether pixels are rotated as the EXIF block says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Turn {
     Keep,
     Upright,
+}
+
+/// How a picture is read.
+#[derive(Debug, Clone, Copy)]
+pub struct Reading {
+    pub turn: Turn,
+    pub profiles: Profiles,
+    /// Longest side to which a picture is downscaled that exceeds [`MAX_SIDE`]; it is refused otherwise.
+    pub max_side: Option<u32>,
+    pub hidden: HiddenColors,
+}
+
+impl Reading {
+    /// Reads everything but pictures that exceed [`MAX_SIDE`].
+    pub fn turned(turn: Turn) -> Reading {
+        Reading { turn, profiles: Profiles::Read, max_side: None, hidden: HiddenColors::default() }
+    }
 }
 
 /// A picture with its metadata.
@@ -47,9 +68,7 @@ impl Source {
         if self.orientation == Orientation::NoTransforms {
             return Ok(self);
         }
-        let mut picture = DynamicImage::from(self.pixels);
-        picture.apply_orientation(self.orientation);
-        let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
+        let pixels = turned(path, self.pixels, self.orientation)?;
         let mut exif = self.exif;
         forget_orientation(&mut exif);
         Ok(Source { pixels, exif, orientation: Orientation::NoTransforms, ..self })
@@ -68,30 +87,33 @@ impl Source {
 
 /// Decodes `path`, or standard input for `-`.
 pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
-    read(path, Input::open(path)?, turn)
+    read(path, Input::open(path)?, &Reading::turned(turn))
 }
 
 /// Decodes `input`, which came from `path`. A panic of a decoder is reported as a broken file.
-pub fn read(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure> {
+pub fn read(path: &Path, mut input: Input, reading: &Reading) -> Result<Source, Failure> {
     let start = input.start().map_err(|e| Failure::io(path, &e))?;
     if start.is_empty() {
         return Err(Failure { kind: Kind::Format, message: format!("{}: is empty", Failure::input(path)) });
     }
     if start.starts_with(&MAGIC) {
         let decoded = decode(path, &input::all(path, input, Limits::default().alloc)?)?;
-        return if turn == Turn::Upright { decoded.upright(path) } else { Ok(decoded) };
+        return if reading.turn == Turn::Upright { decoded.upright(path) } else { Ok(decoded) };
     }
     let sniffed = sniff(start);
     if let Some(other) = sniffed.filter(|other| !other.is_read()) {
         let message = format!("{}: {}", Failure::input(path), other.refusal());
         return Err(Failure { kind: Kind::Unsupported, message });
     }
+    if let Some((kind, refusal)) = refusal_of_others(start) {
+        return Err(Failure { kind, message: format!("{}: {refusal}", Failure::input(path)) });
+    }
     #[cfg(feature = "jxl")]
     if sniffed == Some(Sniffed::JpegXl) {
-        let read = guard::quietly(|| crate::jxl::read(path, &mut input));
+        let read = guard::quietly(|| crate::jxl::read(path, &mut input, reading));
         return read.unwrap_or_else(|panic| Err(panicked(path, &panic)));
     }
-    guard::quietly(|| read_foreign(path, input, turn)).unwrap_or_else(|panic| Err(panicked(path, &panic)))
+    guard::quietly(|| read_foreign(path, input, reading)).unwrap_or_else(|panic| Err(panicked(path, &panic)))
 }
 
 /// Returns the message for a picture that exceeds the memory limit.
@@ -106,8 +128,17 @@ pub fn panicked(path: &Path, panic: &str) -> Failure {
     Failure { kind: Kind::Format, message }
 }
 
+/// Returns the failure for a picture with a side beyond the format's limit.
+pub fn too_long(path: &Path, [width, height]: [u32; 2]) -> Failure {
+    let path = Failure::input(path);
+    let message = format!(
+        "{path}: has {width} × {height} pixels; a side has {MAX_SIDE} at most; --max-side {MAX_SIDE} downscales"
+    );
+    Failure { kind: Kind::Limit, message }
+}
+
 /// Decodes a picture of another format than ssplat.
-fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure> {
+fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Source, Failure> {
     let io = |e| Failure::io(path, &e);
     let start = input.start().map_err(io)?;
     let failed = |e| {
@@ -117,22 +148,29 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
         }
         failure
     };
+    let unsupported =
+        |what: &str| Failure { kind: Kind::Unsupported, message: format!("{}: {what}", Failure::input(path)) };
     let format = image::guess_format(start).or_else(|_| image::ImageFormat::from_path(path));
     let mut is_cut_off = false;
     let mut notes = Vec::new();
     if let Ok(format) = format {
         let found = completeness::look(&mut input, format).map_err(io)?;
         input.rewind().map_err(io)?;
+        if let Some(kind) = found.unsupported {
+            return Err(unsupported(kind));
+        }
         is_cut_off = !found.is_whole;
         if found.is_reduced {
-            let message = format!(
-                "{}: its first picture is a reduced version, as in raw files of cameras (DNG, NEF): convert it to PNG or TIFF first",
-                Failure::input(path)
-            );
-            return Err(Failure { kind: Kind::Unsupported, message });
+            return Err(unsupported(
+                "its first picture is a reduced version, as in raw files of cameras (DNG, NEF): convert it to PNG or TIFF first",
+            ));
         }
         if found.has_more {
             notes.push("only the first of its frames or pages is used".into());
+        }
+        if is_cut_off && format == ImageFormat::Jpeg && jpeg_end::has_all_samples(path, &mut input)? {
+            is_cut_off = false;
+            notes.push("its end marker is missing, but its picture is complete".into());
         }
     }
     #[cfg(feature = "avif")]
@@ -141,36 +179,78 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
     } else {
         None
     };
-    let stated = colour::look(&mut input).map_err(io)?;
+    let stated = stated(path, &mut input, reading.profiles)?;
     notes.extend(stated.note.map(String::from));
-    let mut decoder = open_picture(input, path, &limits()).map_err(failed)?;
-    let icc = stated.or(decoder.icc_profile().map_err(failed)?);
-    let mut exif = decoder.exif_metadata().map_err(failed)?;
-    if decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
-        notes.push("its XMP block is left out".into());
+    let text = exif_text::read(path, &mut input, &stated, &mut notes)?;
+    let (picture, mut exif, mut orientation, icc);
+    if let Some(found) = tiff::read(path, &mut input)? {
+        picture = found.picture;
+        notes.extend(found.notes);
+        (exif, orientation, icc) = (None, found.orientation, stated.own_profile());
+    } else {
+        let mut decoder = open_picture(input, path, &stated, &limits()).map_err(failed)?;
+        icc = stated.profile(&mut decoder).map_err(failed)?;
+        (exif, orientation) = stated.exif(&mut decoder).map_err(failed)?;
+        if stated.has_xmp || decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
+            notes.push("its XMP block is left out".into());
+        }
+        picture = decoded_picture(decoder).map_err(failed)?;
     }
-    let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let mut picture = stated.without_idle_alpha(decoded_picture(decoder).map_err(failed)?);
+    let (mut icc, note) = icc;
+    notes.extend(note);
+    if let Some(text) = text {
+        orientation = orientation_in(Some(&text));
+        exif = Some(text);
+    }
+    let picture = stated.corrected(picture);
     #[cfg(feature = "avif")]
-    if let Some(avif) = avif {
-        orientation = avif.orientation;
-        picture = avif.own_channels(picture);
+    let picture = match avif {
+        Some(avif) => {
+            orientation = avif.orientation;
+            avif.own_channels(picture)
+        }
+        None => picture,
+    };
+    notes.extend(floats::check(path, &picture)?);
+    let [width, height] = <[u32; 2]>::from(picture.dimensions());
+    let mut pixels = None;
+    if width.max(height) > MAX_SIDE {
+        let size = resize::fitted([width, height], reading.max_side);
+        if size[0].max(size[1]) > MAX_SIDE {
+            return Err(too_long(path, [width, height]));
+        }
+        let small = resize::resize(&picture, size, icc.as_deref(), reading.hidden);
+        pixels = Some(small.map_err(|e| Failure::library(path, &e))?);
     }
-    if turn == Turn::Upright {
-        picture.apply_orientation(orientation);
+    let mut pixels = match pixels {
+        Some(pixels) => pixels,
+        None => Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?,
+    };
+    if reading.turn == Turn::Upright {
+        pixels = turned(path, pixels, orientation)?;
         forget_orientation(&mut exif);
         orientation = Orientation::NoTransforms;
     }
-    let pixels = Pixels::try_from(picture).map_err(|e| match e {
-        // NaN samples make the file invalid.
-        Error::Parameter { problem, .. } => {
-            Failure { kind: Kind::Format, message: format!("{}: {problem}", Failure::input(path)) }
-        }
-        e => Failure::library(path, &e),
-    })?;
-    let mut icc = icc;
     keep_fitting(&mut icc, pixels.channels(), &mut notes);
     Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })
+}
+
+/// Applies an orientation to `pixels`.
+fn turned(path: &Path, pixels: Pixels, orientation: Orientation) -> Result<Pixels, Failure> {
+    if orientation == Orientation::NoTransforms {
+        return Ok(pixels);
+    }
+    let mut picture = DynamicImage::from(pixels);
+    picture.apply_orientation(orientation);
+    Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))
+}
+
+/// Returns what the file in `input` states, and which of its parts are hidden from its decoder.
+pub fn stated(path: &Path, input: &mut (impl std::io::BufRead + Seek), profiles: Profiles) -> Result<Stated, Failure> {
+    colour::look(input, profiles).map_err(|e| match e.kind() {
+        ErrorKind::FileTooLarge => Failure { kind: Kind::Limit, message: format!("{}: {e}", Failure::input(path)) },
+        _ => Failure::io(path, &e),
+    })
 }
 
 /// Returns width and height of a picture in a format other than ssplat, or `None` if they are unknown. Rewinds the
@@ -187,8 +267,15 @@ pub fn size(path: &Path, input: &mut Input) -> Option<[u32; 2]> {
             return None;
         }
         let format = image::guess_format(start).or_else(|_| image::ImageFormat::from_path(path)).ok()?;
+        // The PNG decoder decompresses a profile first.
+        if format == ImageFormat::Png {
+            let mut header = [0; 24];
+            input.read_exact(&mut header).ok()?;
+            let (words, _) = header.as_chunks::<4>();
+            return Some([words[4], words[5]].map(u32::from_be_bytes)).filter(|_| &header[12..16] == b"IHDR");
+        }
         // The JPEG decoder reads the whole file first.
-        if format == image::ImageFormat::Jpeg && input.length().ok()? > MAX_ALLOC {
+        if format == ImageFormat::Jpeg && input.length().ok()? > MAX_ALLOC {
             return None;
         }
         let mut reader = ImageReader::with_format(&mut *input, format);
@@ -221,16 +308,8 @@ pub fn forget_orientation(exif: &mut Option<Vec<u8>>) {
 
 /// Removes a profile that does not fit `channels`, and adds a note.
 pub fn keep_fitting(icc: &mut Option<Vec<u8>>, channels: Channels, notes: &mut Vec<String>) {
-    if let Some(space) = icc.as_ref().and_then(|icc| misfit(icc, channels)) {
-        notes.push(format!("its ICC profile is for {space}, not for the stored channels, and is left out"));
+    if let Some(why) = icc.as_ref().and_then(|icc| colour::misfit(icc, channels.count() < 3)) {
+        notes.push(format!("its ICC profile {why}, and is left out"));
         *icc = None;
     }
-}
-
-/// Returns the colour space of a profile if it does not fit `channels`.
-fn misfit(icc: &[u8], channels: Channels) -> Option<String> {
-    // ICC.1, header: data colour space.
-    let space = icc.get(16..20).unwrap_or(b"none");
-    let wanted = if channels.count() < 3 { b"GRAY" } else { b"RGB " };
-    (space != wanted).then(|| String::from_utf8_lossy(space).trim().to_string())
 }

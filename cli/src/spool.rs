@@ -11,13 +11,14 @@ use std::time::Instant;
 
 use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
-use ssplat::unstable::{check_area, colour};
+use ssplat::unstable::check_area;
+use ssplat::unstable::colour::{MAX_PROFILE_BYTES, Overlay, Profiles};
 use ssplat::{Channels, Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
 use crate::source::Source;
-use crate::{completeness, guard, resize, source};
+use crate::{completeness, exif_text, guard, resize, source};
 
 /// Disk space that any PNG may take, and the space per byte of the file above that: photographs need 2 to 5, drawings
 /// up to 200.
@@ -93,9 +94,9 @@ pub enum Opened {
 
 /// Opens `input`, which came from `path`, without reading it into memory, and before `end` if that is set. A panic of a
 /// decoder is reported as a broken file.
-pub fn open(path: &Path, input: Input, end: Option<Instant>) -> Result<Opened, Failure> {
+pub fn open(path: &Path, input: Input, end: Option<Instant>, profiles: Profiles) -> Result<Opened, Failure> {
     let Input::File(mut reader) = input else { return Ok(Opened::AsWhole(input)) };
-    let spooled = guard::quietly(|| spooled(path, &mut reader, end));
+    let spooled = guard::quietly(|| spooled(path, &mut reader, end, profiles));
     match spooled.unwrap_or_else(|panic| Err(source::panicked(path, &panic)))? {
         Some(spooled) => Ok(Opened::InParts(Box::new(spooled))),
         None => {
@@ -105,10 +106,15 @@ pub fn open(path: &Path, input: Input, end: Option<Instant>) -> Result<Opened, F
     }
 }
 
-fn spooled(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
+fn spooled(
+    path: &Path,
+    reader: &mut BufReader<File>,
+    end: Option<Instant>,
+    profiles: Profiles,
+) -> Result<Option<Spooled>, Failure> {
     match reader.fill_buf().map_err(|e| Failure::io(path, &e))? {
         [b'P', b'5' | b'6', ..] => pnm(path, reader),
-        [0x89, b'P', b'N', b'G', ..] => png(path, reader, end),
+        [0x89, b'P', b'N', b'G', ..] => png(path, reader, end, profiles),
         _ => Ok(None),
     }
 }
@@ -141,18 +147,8 @@ fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Fai
     if start.checked_add(bytes).is_none_or(|end| end > length) {
         return Err(broken(format!("needs {bytes} bytes of samples but has {}", length.saturating_sub(start))));
     }
-    check_size(path, width, height)?;
     let file = Mutex::new(file);
     Ok(Some(Spooled { file, start, width, height, channels, depth, icc: None, exif: None, notes: Vec::new() }))
-}
-
-/// Checks the sides of a picture against the limits of [`Pixels`].
-fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Failure> {
-    if [width, height].iter().all(|side| (1..=1 << 20).contains(side)) {
-        return Ok(());
-    }
-    let message = format!("{}: {width} × {height}: a side is outside 1..=1048576", path.display());
-    Err(Failure { kind: Kind::Limit, message })
 }
 
 /// Refuses a PNG whose `samples` bytes of samples are out of proportion to its `packed` bytes, because it would fill
@@ -196,7 +192,21 @@ fn number_of(reader: &mut impl BufRead) -> std::io::Result<Option<u32>> {
     }
 }
 
-fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
+/// Reads a PNG up to its samples. A profile may take [`MAX_PROFILE_BYTES`], and its compressed form twice as much.
+fn open_png<R: BufRead + Seek>(reader: R) -> Result<png::Reader<R>, png::DecodingError> {
+    let mut decoder = png::Decoder::new(reader);
+    let row = 8 * decoder.read_header_info()?.width as usize;
+    decoder.set_limits(png::Limits { bytes: 3 * MAX_PROFILE_BYTES as usize + row });
+    decoder.set_transformations(Transformations::EXPAND);
+    decoder.read_info()
+}
+
+fn png(
+    path: &Path,
+    reader: &mut BufReader<File>,
+    end: Option<Instant>,
+    profiles: Profiles,
+) -> Result<Option<Spooled>, Failure> {
     let io = |e| Failure::io(path, &e);
     let broken = |e: png::DecodingError| match e {
         png::DecodingError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Failure::io(path, &e),
@@ -205,23 +215,23 @@ fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Resul
     let packed = reader.get_ref().metadata().map_err(io)?.len();
     let found = completeness::look(reader, ImageFormat::Png).map_err(io)?;
     reader.rewind().map_err(io)?;
-    let stated = colour::look(reader).map_err(io)?;
-    let mut decoder = png::Decoder::new(&mut *reader);
-    decoder.set_transformations(Transformations::EXPAND);
-    let mut decoder = decoder.read_info().map_err(broken)?;
+    let stated = source::stated(path, reader, profiles)?;
+    let mut notes: Vec<String> = stated.note.map(String::from).into_iter().collect();
+    let text = exif_text::read(path, reader, &stated, &mut notes)?;
+    let overlay = Overlay::new(&mut *reader, stated.hidden.clone()).map_err(io)?;
+    let mut decoder = open_png(overlay).map_err(broken)?;
     let info = decoder.info();
     if info.interlaced {
         return Ok(None);
     }
     let (width, height) = (info.width, info.height);
-    check_size(path, width, height)?;
-    let exif = info.exif_metadata.as_ref().map(|v| v.to_vec());
-    let mut notes: Vec<String> = stated.note.map(String::from).into_iter().collect();
-    let mut icc = stated.or(info.icc_profile.as_ref().map(|v| v.to_vec()));
+    let exif = text.or_else(|| stated.own_exif());
+    let (mut icc, note) = stated.with_profile(info.icc_profile.as_ref().map(|v| v.to_vec()));
+    notes.extend(note);
     if found.has_more {
         notes.push("only the first of its frames or pages is used".into());
     }
-    if info.utf8_text.iter().any(|text| text.keyword == "XML:com.adobe.xmp") {
+    if stated.has_xmp {
         notes.push("its XMP block is left out".into());
     }
     let (color, bits) = decoder.output_color_type();

@@ -11,7 +11,7 @@ use std::process::{Command, Output};
 
 use folder::Folder;
 use image::{DynamicImage, ImageEncoder, ImageFormat, RgbImage};
-use ssplat::unstable::colour::is_srgb;
+use ssplat::unstable::colour::{Profiles, is_srgb, look};
 
 fn ssplat<S: AsRef<OsStr>>(args: &[S]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_ssplat")).args(args.iter().map(AsRef::as_ref)).output().unwrap()
@@ -101,7 +101,7 @@ fn colours_that_a_png_states_become_a_profile_unless_they_are_srgb() {
 /// Returns a profile for sRGB.
 fn srgb() -> Vec<u8> {
     let png = png_with(&[(b"cICP", &[1, 13, 0, 1])]);
-    let stated = ssplat::unstable::colour::look(&mut Cursor::new(png)).unwrap();
+    let stated = look(&mut Cursor::new(png), Profiles::Read).unwrap();
     stated.or(None).unwrap()
 }
 
@@ -124,7 +124,7 @@ fn a_profile_that_says_srgb_is_left_out_unless_it_is_asked_for() {
 fn the_profile_of_a_small_tiff_is_kept() {
     let folder = Folder::new();
     let p3 = png_with(&[(b"cICP", &[12, 13, 0, 1])]);
-    let profile = ssplat::unstable::colour::look(&mut Cursor::new(p3)).unwrap().or(None).unwrap();
+    let profile = look(&mut Cursor::new(p3), Profiles::Read).unwrap().or(None).unwrap();
     let mut tiff = Cursor::new(Vec::new());
     let mut encoder = image::codecs::tiff::TiffEncoder::new(&mut tiff);
     encoder.set_icc_profile(profile.clone()).unwrap();

@@ -88,7 +88,8 @@ pub(crate) fn read_sections(
         checksum.update(&bytes.taken()[head..]);
         let contents = bytes.take(length, "section")?;
         head = bytes.taken().len();
-        total = total.saturating_add(length);
+        // The detail layer is no metadata; `Limits` has other bounds for it.
+        total = total.saturating_add(if name == DETAIL { 0 } else { length });
         Limits::check(Limit::Metadata, total, limits.metadata)?;
         let computed = contents_checksum(header, name, contents);
         let known = match name {

@@ -1,20 +1,13 @@
-//! What a picture file states about its colours, as an ICC profile: statements that the decoders of `image` ignore, and
-//! the comparison of profiles with sRGB.
+//! ICC profiles: made of code points, of chromaticities and of transfer functions, and compared with sRGB.
 
-use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
-
-use image::DynamicImage;
 use moxcms::{
     Chromaticity, CicpColorPrimaries, CicpProfile, ColorPrimaries, ColorProfile, DataColorSpace, Layout,
-    MatrixCoefficients, ToneReprCurve, TransferCharacteristics, TransformOptions, XyY, curve_from_gamma,
+    MatrixCoefficients, ToneReprCurve, TransferCharacteristics, TransformOptions, XyY,
 };
 
 /// Maximum length of a profile that is compared with sRGB, bytes. sRGB profiles have up to 61 kB, and the comparison of
 /// longer ones could take a second.
 const MAX_COMPARED_BYTES: usize = 1 << 16;
-
-/// Maximum length of a profile that is read from a TIFF, bytes.
-const MAX_TIFF_PROFILE_BYTES: u32 = 64 << 20;
 
 /// Points per axis of the grid of colours at which a profile is compared with sRGB.
 const GRID: usize = 9;
@@ -36,61 +29,30 @@ const CREATION_DATE: [u8; 12] = [7, 234, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0];
 /// Chromaticities (x, y) of the white point, red, green and blue of sRGB.
 const SRGB: [f64; 8] = [0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06];
 
-/// What a file states about its colours in addition to the profile that its decoder finds.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Stated {
-    /// A profile with the same meaning.
-    icc: Option<Vec<u8>>,
-    /// Whether it takes precedence over the profile that the decoder finds.
-    is_first: bool,
-    /// A note for the user about what no profile can express.
-    #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "only the program and the encoder ask for it"))]
-    pub note: Option<&'static str>,
-    /// Whether decoders return all pictures of the format with alpha.
-    always_has_alpha: bool,
-}
-
-impl Stated {
-    /// Returns the profile to use, given the profile that the decoder found.
-    pub fn or(&self, found: Option<Vec<u8>>) -> Option<Vec<u8>> {
-        if self.is_first { self.icc.clone().or(found) } else { found.or_else(|| self.icc.clone()) }
-    }
-
-    /// Removes an alpha channel that the decoder adds to all pictures of the format, if it is opaque.
-    pub fn without_idle_alpha(&self, picture: DynamicImage) -> DynamicImage {
-        match picture {
-            DynamicImage::ImageRgba8(picture) if self.always_has_alpha && picture.pixels().all(|p| p.0[3] == 255) => {
-                DynamicImage::ImageRgba8(picture).into_rgb8().into()
-            }
-            other => other,
-        }
-    }
-}
-
-/// Reads what the file in `reader` states about its colours: `cICP`, `gAMA` and `cHRM` of PNG, and the profile of TIFF,
-/// which `image` 0.25.10 loses for small pictures. The reader is rewound.
-///
-/// # Errors
-/// Errors of `reader`. A truncated file is not an error; its statements are ignored.
-pub fn look(reader: &mut (impl BufRead + Seek)) -> io::Result<Stated> {
-    let found = match reader.fill_buf()? {
-        [0x89, b'P', b'N', b'G', ..] => png(reader),
-        [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => tiff(reader),
-        [b'G', b'I', b'F', b'8', ..] => return Ok(Stated { always_has_alpha: true, ..Stated::default() }),
-        _ => return Ok(Stated::default()),
-    };
-    reader.rewind()?;
-    match found {
-        Err(e) if e.kind() == ErrorKind::UnexpectedEof => Ok(Stated::default()),
-        found => found,
-    }
-}
-
 /// Returns whether a profile is equivalent to sRGB: all colours have the same 8-bit code values, within 1. Grey
 /// profiles are compared with the greys of sRGB.
 pub fn is_srgb(icc: &[u8]) -> bool {
     icc.len() <= MAX_COMPARED_BYTES
         && difference_from_srgb(icc).is_some_and(|difference| difference <= MAX_SRGB_DIFFERENCE)
+}
+
+/// Returns why a profile does not fit grey or RGB samples, as the end of a sentence; `None` if it does.
+pub fn misfit(icc: &[u8], is_grey: bool) -> Option<String> {
+    // ICC.1, header: length, data colour space, and the signature of all profiles.
+    let length = icc.first_chunk().map_or(0, |length| u32::from_be_bytes(*length)) as usize;
+    let space = icc.get(16..20).unwrap_or_default();
+    let is_profile = icc.get(36..40) == Some(b"acsp");
+    match space {
+        _ if is_profile && length > icc.len() => Some("is cut off".into()),
+        b"GRAY" if is_grey => None,
+        b"RGB " if !is_grey => None,
+        _ if !is_profile => Some("is broken".into()),
+        space => {
+            let space = if space == b"GRAY" { "grey".into() } else { String::from_utf8_lossy(space) };
+            let samples = if is_grey { "grey" } else { "RGB" };
+            Some(format!("is for {}, not for the {samples} samples", space.trim()))
+        }
+    }
 }
 
 /// Returns the largest difference between colours under a profile and in sRGB, in 8-bit code values; `None` if they
@@ -118,50 +80,17 @@ fn difference_from_srgb(icc: &[u8]) -> Option<u8> {
     shown.iter().zip(colors.iter().flatten()).map(|(a, b): (&u8, &u8)| a.abs_diff(*b)).max()
 }
 
-fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
-    let mut bytes = [0; N];
-    reader.read_exact(&mut bytes)?;
-    Ok(bytes)
-}
-
-/// Reads the chunks before the samples. `cICP` takes precedence over a profile, and a profile or `sRGB` over `gAMA` and
-/// `cHRM`.
-fn png(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
-    reader.seek(SeekFrom::Start(8))?;
-    let (mut is_grey, mut gamma, mut chromaticities) = (false, None, None);
-    let (mut cicp, mut has_better) = (None, false);
-    loop {
-        let length = u32::from_be_bytes(bytes(reader)?);
-        let mut read = 0;
-        match (&bytes::<4>(reader)?, length) {
-            (b"IHDR", 13) => {
-                let header: [u8; 13] = bytes(reader)?;
-                (is_grey, read) = ([0, 4].contains(&header[9]), 13);
-            }
-            (b"cICP", 4) => (cicp, read) = (Some(bytes::<4>(reader)?), 4),
-            (b"gAMA", 4) => (gamma, read) = (Some(f64::from(u32::from_be_bytes(bytes(reader)?)) / 1e5), 4),
-            (b"cHRM", 32) => {
-                let said: [u8; 32] = bytes(reader)?;
-                let (values, _) = said.as_chunks::<4>();
-                let values: Vec<f64> = values.iter().map(|v| f64::from(u32::from_be_bytes(*v)) / 1e5).collect();
-                (chromaticities, read) = (values.try_into().ok(), 32);
-            }
-            (b"iCCP" | b"sRGB", _) => has_better = true,
-            (b"IDAT" | b"IEND", _) => break,
-            _ => {}
-        }
-        reader.seek_relative(i64::from(length) - read + 4)?;
-    }
-    if let Some(cicp) = cicp {
-        return Ok(of_cicp(cicp, is_grey));
-    }
-    let icc = if has_better { None } else { of_gamma(gamma, chromaticities, is_grey) };
-    Ok(Stated { icc, ..Stated::default() })
+/// The profile of code points.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CodePoints {
+    pub icc: Option<Vec<u8>>,
+    /// A note for the user about what no profile can express.
+    pub note: Option<&'static str>,
 }
 
 /// Returns the profile of code points (ITU-T H.273): primaries, transfer function, matrix, and whether the range is
 /// full.
-pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stated {
+pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> CodePoints {
     let note = match (transfer, matrix, range) {
         (16, ..) => Some(
             "its colours use PQ (cICP), which no ICC profile can express; they are kept unchanged and will look pale",
@@ -175,7 +104,7 @@ pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> 
         ),
     };
     if note.is_some() {
-        return Stated { note, ..Stated::default() };
+        return CodePoints { icc: None, note };
     }
     let parse = || {
         let color_primaries = CicpColorPrimaries::try_from(primaries).ok()?;
@@ -188,11 +117,11 @@ pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> 
         Some((ColorProfile::new_from_cicp(cicp), curve))
     };
     let icc = parse().and_then(|(rgb, curve)| encoded(rgb, curve, is_grey));
-    Stated { is_first: icc.is_some(), icc, ..Stated::default() }
+    CodePoints { icc, note: None }
 }
 
 /// Returns the profile of a `gAMA` and a `cHRM` chunk; `None` if they are equivalent to sRGB.
-fn of_gamma(gamma: Option<f64>, chromaticities: Option<[f64; 8]>, is_grey: bool) -> Option<Vec<u8>> {
+pub(super) fn of_gamma(gamma: Option<f64>, chromaticities: Option<[f64; 8]>, is_grey: bool) -> Option<Vec<u8>> {
     // The decoding exponents are within the range of a profile's curve.
     let exponent = gamma.filter(|g| (0.05..=20.0).contains(g)).map(f64::recip);
     let is_usual = exponent.is_none_or(|e| (e / 2.2 - 1.0).abs() < GAMMA_TOLERANCE);
@@ -202,16 +131,12 @@ fn of_gamma(gamma: Option<f64>, chromaticities: Option<[f64; 8]>, is_grey: bool)
     if is_usual && has_its_colors {
         return None;
     }
-    let mut profile = ColorProfile::new_srgb();
-    let curve = match exponent {
-        Some(exponent) if !is_usual => curve_from_gamma(exponent as f32),
-        _ => profile.red_trc.clone()?,
+    let transfer = match exponent {
+        Some(exponent) if !is_usual => Transfer::Gamma(exponent),
+        _ => Transfer::Srgb,
     };
-    if !has_its_colors {
-        let at = |k: usize| Chromaticity::new(primaries[k] as f32, primaries[k + 1] as f32);
-        profile.update_rgb_colorimetry(XyY::new(wx, wy, 1.0), ColorPrimaries { red: at(0), green: at(2), blue: at(4) });
-    }
-    encoded(profile, curve, is_grey)
+    let [a, b, c, d, e, f] = primaries;
+    of_chromaticities(if has_its_colors { SRGB } else { [wx, wy, a, b, c, d, e, f] }, transfer, is_grey)
 }
 
 /// Returns whether the chromaticities are those of a white point and three primaries that span an area.
@@ -219,6 +144,41 @@ fn is_valid(c: &[f64; 8]) -> bool {
     let [_, _, rx, ry, gx, gy, bx, by] = *c;
     let area = (gx - rx) * (by - ry) - (bx - rx) * (gy - ry);
     c.iter().all(|v| (0.0..=1.0).contains(v)) && [1, 3, 5, 7].iter().all(|&k| c[k] > 1e-3) && area.abs() > 1e-3
+}
+
+/// A transfer function: encoded values to linear light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Transfer {
+    Srgb,
+    /// ITU-R BT.709.
+    Bt709,
+    /// The exponent; 1 is linear.
+    Gamma(f64),
+}
+
+impl Transfer {
+    fn curve(self) -> ToneReprCurve {
+        ToneReprCurve::Parametric(match self {
+            Transfer::Srgb => vec![2.4, 1.0 / 1.055, 0.055 / 1.055, 1.0 / 12.92, 0.04045],
+            Transfer::Bt709 => vec![1.0 / 0.45, 1.0 / 1.099, 0.099 / 1.099, 1.0 / 4.5, 0.081],
+            Transfer::Gamma(exponent) => vec![exponent as f32],
+        })
+    }
+}
+
+/// Returns the profile of a white point, of three primaries (chromaticities x, y), and of a transfer function; `None` if
+/// it cannot be created. Grey profiles have neither white point nor primaries.
+pub fn of_chromaticities(chromaticities: [f64; 8], transfer: Transfer, is_grey: bool) -> Option<Vec<u8>> {
+    let mut profile = ColorProfile::new_srgb();
+    if !is_grey {
+        if !is_valid(&chromaticities) {
+            return None;
+        }
+        let [wx, wy, primaries @ ..] = chromaticities;
+        let at = |k: usize| Chromaticity::new(primaries[k] as f32, primaries[k + 1] as f32);
+        profile.update_rgb_colorimetry(XyY::new(wx, wy, 1.0), ColorPrimaries { red: at(0), green: at(2), blue: at(4) });
+    }
+    encoded(profile, transfer.curve(), is_grey)
 }
 
 /// Returns the bytes of a colour or grey profile with the given curve; `None` if it cannot be created.
@@ -233,36 +193,66 @@ fn encoded(mut profile: ColorProfile, curve: ToneReprCurve, is_grey: bool) -> Op
     }
     // ICC.1, 9.2.36: the white point of a display is that of the connection space.
     profile.media_white_point = Some(profile.white_point);
-    let mut icc = profile.encode().ok()?;
+    let mut icc = conforming(&profile.encode().ok()?)?;
     // moxcms writes the current time into the header, but equal pictures must give equal files.
     icc.get_mut(24..36)?.copy_from_slice(&CREATION_DATE);
     Some(icc)
 }
 
-/// Reads the profile of the first directory. `image` limits the values of a tag to 1/32 of the samples.
-fn tiff(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
-    let head: [u8; 8] = bytes(reader)?;
-    let short = |b: [u8; 2]| if head[0] == b'I' { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) };
-    let long = |b: [u8; 4]| if head[0] == b'I' { u32::from_le_bytes(b) } else { u32::from_be_bytes(b) };
-    reader.seek(SeekFrom::Start(u64::from(long([head[4], head[5], head[6], head[7]]))))?;
-    let entries = short(bytes(reader)?);
-    for _ in 0..entries {
-        let (tag, _kind, count) = (short(bytes(reader)?), short(bytes(reader)?), long(bytes(reader)?));
-        let offset = long(bytes(reader)?);
-        // Tag 34675. Shorter values contain no header.
-        if tag == 34675 && (128..=MAX_TIFF_PROFILE_BYTES).contains(&count) {
-            reader.seek(SeekFrom::Start(u64::from(offset)))?;
-            let mut icc = Vec::new();
-            reader.take(u64::from(count)).read_to_end(&mut icc)?;
-            let icc = (icc.len() as u64 == u64::from(count)).then_some(icc);
-            return Ok(Stated { icc, ..Stated::default() });
+/// The white point of the connection space, D50, as a profile stores it (ICC.1, 7.2.16).
+const D50: [u8; 12] = [0, 0, 0xF6, 0xD6, 0, 1, 0, 0, 0, 0, 0xD3, 0x2D];
+
+/// Returns the profile `icc`, which moxcms wrote, as ICC.1 wants it and libpng checks it: tags start at multiples of four
+/// bytes, the white point is exactly D50, and there are a name and a copyright. Equal tags share their bytes.
+fn conforming(icc: &[u8]) -> Option<Vec<u8>> {
+    let word = |at: usize| icc.get(at..at + 4)?.first_chunk().map(|bytes| u32::from_be_bytes(*bytes));
+    let mut tags: Vec<([u8; 4], Vec<u8>)> = Vec::new();
+    for k in 0..word(128)? as usize {
+        let entry = 132 + 12 * k;
+        let (start, length) = (word(entry + 4)? as usize, word(entry + 8)? as usize);
+        tags.push((*icc.get(entry..)?.first_chunk()?, icc.get(start..start.checked_add(length)?)?.to_vec()));
+    }
+    for (name, text) in [(b"desc", "ssplat"), (b"cprt", "CC0")] {
+        if tags.iter().all(|(tag, _)| tag != name) {
+            // A multi-localized text of one record (ICC.1, 10.15).
+            let letters: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
+            let numbers = [0, 1, 12].map(u32::to_be_bytes).concat();
+            let place = [letters.len() as u32, 28].map(u32::to_be_bytes).concat();
+            tags.push((*name, [&b"mluc"[..], &numbers, b"enUS", &place, &letters].concat()));
         }
     }
-    Ok(Stated::default())
+    for (_, white) in tags.iter_mut().filter(|(name, _)| name == b"wtpt") {
+        white.get_mut(8..20)?.copy_from_slice(&D50);
+    }
+    let mut out = icc.get(..128)?.to_vec();
+    out[68..80].copy_from_slice(&D50);
+    out.extend((tags.len() as u32).to_be_bytes());
+    let first = out.len() + 12 * tags.len();
+    let mut data: Vec<u8> = Vec::new();
+    let mut places: Vec<(&[u8], usize)> = Vec::new();
+    for (name, value) in &tags {
+        let start = places.iter().find(|(other, _)| other == &value.as_slice()).map(|&(_, start)| start);
+        let start = start.unwrap_or_else(|| {
+            let start = data.len();
+            data.extend_from_slice(value);
+            data.resize(data.len().next_multiple_of(4), 0);
+            start
+        });
+        out.extend(name);
+        out.extend(((first + start) as u32).to_be_bytes());
+        out.extend((value.len() as u32).to_be_bytes());
+        places.push((value.as_slice(), start));
+    }
+    out.extend(data);
+    let length = out.len() as u32;
+    out[..4].copy_from_slice(&length.to_be_bytes());
+    Some(out)
 }
 
 #[cfg(test)]
 mod tests {
+    use moxcms::curve_from_gamma;
+
     use super::*;
 
     /// Returns the XYZ values of the primaries under D50, as computed by moxcms.
@@ -326,19 +316,39 @@ mod tests {
     }
 
     #[test]
+    fn profiles_that_are_made_conform_to_icc() {
+        let code_points = |transfer, is_grey| of_cicp([12, transfer, 0, 1], is_grey).icc.unwrap();
+        let made = [4, 5, 8, 13].map(|transfer| [false, true].map(|is_grey| code_points(transfer, is_grey)));
+        let gamma = [false, true].map(|is_grey| of_gamma(Some(1.0), None, is_grey).unwrap());
+        for icc in made.as_flattened().iter().chain(&gamma) {
+            let word = |at: usize| u32::from_be_bytes(icc[at..at + 4].try_into().unwrap()) as usize;
+            assert_eq!((word(0), icc.len() % 4, &icc[68..80]), (icc.len(), 0, &D50[..]));
+            let tags: Vec<(&[u8], usize, usize)> = (0..word(128))
+                .map(|k| 132 + 12 * k)
+                .map(|entry| (&icc[entry..entry + 4], word(entry + 4), word(entry + 8)))
+                .collect();
+            assert!(tags.iter().all(|&(_, start, length)| start % 4 == 0 && start + length <= icc.len()));
+            for name in [b"desc", b"cprt", b"wtpt"] {
+                assert!(tags.iter().any(|(tag, ..)| tag == name), "{}", name.escape_ascii());
+            }
+            ColorProfile::new_from_slice(icc).unwrap();
+        }
+    }
+
+    #[test]
     fn code_points_become_a_profile_or_a_note() {
         let p3 = of_cicp([12, 13, 0, 1], false);
         let expected = primaries(&encode(&ColorProfile::new_display_p3()));
         let found = primaries(p3.icc.as_ref().unwrap());
         assert!(found.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-3), "{found:?}");
-        assert!(p3.is_first && p3.note.is_none());
+        assert!(p3.note.is_none());
         assert!(is_srgb(&of_cicp([1, 13, 0, 1], false).icc.unwrap()));
         for unsaid in [[9, 16, 0, 1], [9, 18, 0, 1], [1, 13, 0, 0], [1, 13, 1, 1]] {
             let found = of_cicp(unsaid, false);
             assert!(found.icc.is_none() && found.note.is_some());
         }
         for unknown in [[2, 2, 0, 1], [255, 13, 0, 1], [1, 255, 0, 1]] {
-            assert_eq!(of_cicp(unknown, false), Stated::default());
+            assert_eq!(of_cicp(unknown, false), CodePoints::default());
         }
     }
 }

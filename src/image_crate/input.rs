@@ -4,7 +4,7 @@
 //! limits, and abort the process if memory runs out.
 
 use std::hint::black_box;
-use std::io::{BufRead, Seek, SeekFrom};
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use image::error::{ImageFormatHint, ParameterError, ParameterErrorKind};
@@ -12,6 +12,9 @@ use image::error::{LimitError, LimitErrorKind, UnsupportedError, UnsupportedErro
 use image::{
     ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult, Pixel,
 };
+
+use super::overlay::Overlay;
+use super::stated::{MAX_PROFILE_BYTES, Stated};
 
 /// Maximum number of bytes that a decoder may allocate, including the samples of the picture. A picture of 177
 /// megapixels takes 531 MB with 8 bits per sample, and twice that with 16.
@@ -24,7 +27,11 @@ pub fn limits() -> image::Limits {
     limits
 }
 
-/// Returns a decoder for the picture in `reader`. The format is recognized by its content, or else by the extension of
+/// Bytes that the decoder of PNG may allocate besides its rows. It doubles the buffer of a compressed profile, and
+/// decompresses the profile within the rest; one that does not fit is lost.
+const MAX_PNG_ALLOC: u64 = 3 * MAX_PROFILE_BYTES;
+
+/// Returns a decoder for the picture in `reader`, without the parts that `stated` hides. The format is recognized by its content, or else by the extension of
 /// `path`. The bytes of its samples are checked against `limits`, and the decoder may use the rest.
 ///
 /// # Errors
@@ -32,10 +39,11 @@ pub fn limits() -> image::Limits {
 pub fn open<'a, R: BufRead + Seek + 'a>(
     reader: R,
     path: &Path,
+    stated: &Stated,
     limits: &image::Limits,
 ) -> ImageResult<impl ImageDecoder + use<'a, R>> {
     let mut limits = limits.clone();
-    let mut reader = ImageReader::new(reader).with_guessed_format()?;
+    let mut reader = ImageReader::new(Overlay::new(reader, stated.hidden.clone())?).with_guessed_format()?;
     if reader.format().is_none()
         && let Ok(format) = ImageFormat::from_path(path)
     {
@@ -50,13 +58,29 @@ pub fn open<'a, R: BufRead + Seek + 'a>(
         file.rewind()?;
         reader = ImageReader::with_format(file, ImageFormat::Jpeg);
     }
-    reader.limits(limits.clone());
+    let mut first = limits.clone();
+    if format == Some(ImageFormat::Png) {
+        let mut file = reader.into_inner();
+        let row = 8 * u64::from(png_width(&mut file)?);
+        first.max_alloc = first.max_alloc.map(|most| most.min(MAX_PNG_ALLOC + row));
+        reader = ImageReader::with_format(file, ImageFormat::Png);
+    }
+    reader.limits(first);
     let mut decoder = reader.into_decoder()?;
     let all = limits.clone();
     limits.reserve(decoder.total_bytes())?;
     // The TIFF decoder subtracts the samples itself.
     decoder.set_limits(if format == Some(ImageFormat::Tiff) { all } else { limits })?;
     Ok(decoder)
+}
+
+/// Returns the width in the header of a PNG, or 0 if it has none. The reader is rewound.
+fn png_width(reader: &mut (impl Read + Seek)) -> io::Result<u32> {
+    // The signature, the length and the name of the header chunk, and the width.
+    let mut start = Vec::new();
+    reader.by_ref().take(20).read_to_end(&mut start)?;
+    reader.rewind()?;
+    Ok(start.last_chunk().filter(|_| start.len() == 20).map_or(0, |width| u32::from_be_bytes(*width)))
 }
 
 /// Decodes a picture whose size has been checked against limits, as [`open`] does.

@@ -11,9 +11,13 @@ pub(crate) mod input;
 #[cfg(feature = "encode")]
 mod metadata_policy;
 #[cfg(feature = "encode")]
+pub(crate) mod overlay;
+#[cfg(feature = "encode")]
 mod replace;
 #[cfg(feature = "encode")]
 mod source;
+#[cfg(feature = "encode")]
+pub(crate) mod stated;
 #[cfg(feature = "encode")]
 mod transcode;
 

@@ -4,16 +4,16 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use image::metadata::Orientation;
 use image::{ImageDecoder, ImageError};
 
-use super::colour::{self, Stated};
+use super::colour::misfit;
 use super::decoder::register;
 use super::encoder::{check_extension, write};
 use super::input;
+use super::stated::{self, Profiles, Stated};
 use crate::encode::{EncodeReport, Encoded, Encoder, encode};
 use crate::error::{Error, Result};
-use crate::options::EncodeOptions;
+use crate::options::{EncodeOptions, MetadataPolicy};
 use crate::pixels::Pixels;
 
 /// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::metadata`] selects the
@@ -38,8 +38,10 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     };
     let io = |e: std::io::Error| Error::at(path, e);
     let mut reader = BufReader::new(File::open(path).map_err(io)?);
-    let stated = colour::look(&mut reader).map_err(io)?;
-    let decoder = input::open(reader, path, &input::limits()).map_err(failed)?;
+    let is_used = options.metadata != MetadataPolicy::None && options.icc.is_none();
+    let profiles = if is_used { Profiles::Read } else { Profiles::Ignore };
+    let stated = stated::look(&mut reader, profiles).map_err(io)?;
+    let decoder = input::open(reader, path, &stated, &input::limits()).map_err(failed)?;
     let encoded = encode_stated(decoder, stated, options).map_err(|e| match e {
         Error::Source { error, .. } => failed(error),
         e => e,
@@ -62,11 +64,11 @@ fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &Encod
     // The decoder keeps the limits that its owner set. Only the memory that is allocated here is checked against those
     // of this crate.
     input::limits().reserve(decoder.total_bytes()).map_err(failed)?;
-    let icc = stated.or(decoder.icc_profile().map_err(failed)?);
-    let exif = decoder.exif_metadata().map_err(failed)?;
-    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let pixels = Pixels::try_from(stated.without_idle_alpha(input::picture(decoder).map_err(failed)?))?;
-    let icc = icc.filter(|icc| is_for(icc, &pixels));
+    let (icc, _) = stated.profile(&mut decoder).map_err(failed)?;
+    let (exif, orientation) = stated.exif(&mut decoder).map_err(failed)?;
+    let pixels = Pixels::try_from(stated.corrected(input::picture(decoder).map_err(failed)?))?;
+    // The profile of a CMYK picture does not match the RGB pixels to which it is converted.
+    let icc = icc.filter(|icc| misfit(icc, pixels.channels().count() < 3).is_none());
     let carried = options.metadata.select(icc, exif, orientation);
     let mut options = options.clone();
     options.icc = options.icc.or(carried.icc);
@@ -84,7 +86,8 @@ impl Encoder {
     /// encoder with [`icc`](Encoder::icc) or [`exif`](Encoder::exif) replaces that of the picture. What a PNG states
     /// about its colours without a profile (cICP, gAMA, cHRM) becomes a profile, except for PQ and HLG, which no
     /// profile can express. [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) omits a profile that is
-    /// equivalent to sRGB.
+    /// equivalent to sRGB. A profile of more than 4 MiB, decompressed, is omitted, and so is one that does not match the
+    /// channels of the picture. A TIFF with premultiplied alpha is converted to straight alpha.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
@@ -119,12 +122,4 @@ impl Encoder {
     pub fn encode_decoder(&self, decoder: impl ImageDecoder) -> Result<Encoded> {
         encode_decoder(decoder, self.options())
     }
-}
-
-/// Tells whether a profile matches the colours of `pixels`. The profile of a CMYK picture does not match the RGB
-/// pixels to which it is converted.
-fn is_for(icc: &[u8], pixels: &Pixels) -> bool {
-    // ICC.1, header: data colour space.
-    let wanted = if pixels.channels().count() < 3 { b"GRAY" } else { b"RGB " };
-    icc.get(16..20) == Some(wanted)
 }

@@ -87,13 +87,21 @@ fn parse(head: &[u8]) -> Option<Request> {
     Some(Request { method: method.into(), target: target.into(), hosts })
 }
 
+/// The body of a response. Only its length is sent for `HEAD`.
+#[derive(Debug, Clone, Copy)]
+pub struct Body<'a> {
+    pub bytes: &'a [u8],
+    pub is_sent: bool,
+}
+
 /// Sends a response with `headers` and `body`, and closes the connection.
-pub fn answer(mut stream: &TcpStream, status: u16, headers: &[(&str, &str)], body: &[u8]) -> io::Result<()> {
+pub fn answer(mut stream: &TcpStream, status: u16, headers: &[(&str, &str)], body: Body) -> io::Result<()> {
     let mut head = format!("HTTP/1.1 {status} {}\r\n", reason(status));
     for (name, value) in headers {
         head += &format!("{name}: {value}\r\n");
     }
-    head += &format!("Content-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+    head += &format!("Content-Length: {}\r\nConnection: close\r\n\r\n", body.bytes.len());
+    let body = if body.is_sent { body.bytes } else { &[] };
     let deadline = Deadline::new(ANSWER);
     for mut piece in [head.as_bytes()].into_iter().chain(body.chunks(PIECE)) {
         while !piece.is_empty() {

@@ -6,7 +6,7 @@ use std::thread;
 use std::time::Duration;
 
 use super::Shown;
-use super::http::{self, Request};
+use super::http::{self, Body, Request};
 use super::package::{self, PAGE};
 use crate::failure::{Failure, Kind};
 use crate::sink::say;
@@ -84,18 +84,21 @@ pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result
 
 impl Served {
     fn answer(&self, stream: &mut TcpStream) -> io::Result<()> {
-        let found = http::request(stream)?.and_then(|request| self.found(&request));
+        let request = http::request(stream)?;
+        let is_sent = !matches!(&request, Ok(request) if request.method == "HEAD");
+        let found = request.and_then(|request| self.found(&request));
+        let body = |bytes| Body { bytes, is_sent };
         match found {
             Ok((kind, bytes)) => {
                 // The encoder is kept compressed, which every browser that runs WebAssembly takes.
                 let is_compressed = kind == WASM && bytes.starts_with(&[0x1f, 0x8b]);
                 let encoding = is_compressed.then_some(("Content-Encoding", "gzip"));
                 let more: Vec<_> = [("Content-Type", kind)].into_iter().chain(encoding).collect();
-                http::answer(stream, 200, &headers(&more), bytes)
+                http::answer(stream, 200, &headers(&more), body(bytes))
             }
-            Err(302) => http::answer(stream, 302, &headers(&[("Location", &self.start)]), &[]),
-            Err(405) => http::answer(stream, 405, &headers(&[("Allow", "GET")]), &[]),
-            Err(status) => http::answer(stream, status, &HEADERS, &[]),
+            Err(302) => http::answer(stream, 302, &headers(&[("Location", &self.start)]), body(&[])),
+            Err(405) => http::answer(stream, 405, &headers(&[("Allow", "GET, HEAD")]), body(&[])),
+            Err(status) => http::answer(stream, status, &HEADERS, body(&[])),
         }
     }
 
@@ -106,7 +109,7 @@ impl Served {
             _ => return Err(403),
         }
         // No resource accepts a body.
-        if request.method != "GET" {
+        if !["GET", "HEAD"].contains(&request.method.as_str()) {
             return Err(405);
         }
         // Paths are looked up in a list, never in the file system.
