@@ -28,6 +28,7 @@ use crate::options::{Detail, EncodeOptions, Needs};
 use crate::pixels::Pixels;
 use crate::round::rounded::projected;
 use crate::round::size::Size;
+use crate::target::Target;
 use crate::used_range::UsedRange;
 
 /// An encode of a whole picture in progress.
@@ -206,7 +207,10 @@ impl WholeSession<'_> {
         // The result must not be worse than a single colour, with or without a Gaussian.
         let background =
             PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
-        let flat = constant::is_possible(self.input.options, self.blank.blend).then(|| self.flat());
+        let options = self.input.options;
+        let may_be_flat =
+            constant::is_possible(options, self.blank.blend) && !matches!(options.target, Target::Primitives(_));
+        let flat = may_be_flat.then(|| self.flat());
         let mut error = self.error_of(&outcome.splats);
         for single in [Some(background), flat].into_iter().flatten() {
             let (bytes, single_error) = (self.file(&single)?, self.error_of(&single));
