@@ -164,6 +164,7 @@ fn two(layout: Layout) -> PackedSplats {
         ],
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Default::default(),
     }
 }

@@ -79,6 +79,7 @@ pub(super) fn empty(
         gaussians: Vec::new(),
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata,
     }
 }

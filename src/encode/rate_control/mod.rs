@@ -42,7 +42,7 @@ pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> S
         }
         Target::Ratio(ratio) => Size::Bytes((samples / ratio).floor() as u64),
         Target::Bytes(bytes) => Size::Bytes(bytes),
-        Target::Primitives(_) | Target::Psnr(_) => Size::Free,
+        Target::Primitives(_) | Target::Psnr(_) | Target::Lossless => Size::Free,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Size::Free,
     }
@@ -83,6 +83,7 @@ pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Out
         }
         Target::Primitives(count) => session.at_count(count as usize)?,
         Target::Psnr(psnr) => psnr::to_psnr(session, psnr)?,
+        Target::Lossless => unreachable!("a file without loss needs no fit"),
         #[cfg(feature = "quality-hook")]
         Target::Quality(quality) => quality::to_quality(session, quality)?,
     };
