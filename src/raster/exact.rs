@@ -8,6 +8,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::samples::Sample;
+#[cfg(feature = "gpu")]
+use super::samples::SamplesMut;
 use super::view::View;
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::{ExactTile, tile_area, tile_counts};
@@ -136,6 +138,15 @@ impl ExactOverlay {
         parallel::map_chunks(out, length, |j, row| {
             self.mix(&spans, Span::new(view, 1, rows.start + j as u32, self.size[1] as usize), row);
         });
+    }
+
+    /// Draws the layer over the rows `rows` of a view, which `out` contains.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn draw_over(&self, view: &View, rows: Range<u32>, out: SamplesMut<'_>) {
+        match out {
+            SamplesMut::U8(out) => self.draw(view, rows, out),
+            SamplesMut::U16(out) => self.draw(view, rows, out),
+        }
     }
 
     /// Calls `visit` with each stretch of covered pixels in a row of the picture: its first column and its tile, with

@@ -13,6 +13,8 @@ mod mask;
 pub(crate) mod tile;
 
 use crate::gaussian::Channels;
+#[cfg(any(test, feature = "unstable"))]
+use crate::pixels::Pixels;
 use crate::pixels::{Depth, Samples};
 
 /// Side of the cells that are covered or not, pixels.
@@ -102,6 +104,57 @@ impl ExactLayer {
             found == depth && count == width * height * channels.count() && tile.cells.as_ref().is_none_or(is_mask)
         };
         self.tiles.len() == across * down && self.tiles.iter().enumerate().all(is_whole)
+    }
+}
+
+#[cfg(any(test, feature = "unstable"))]
+impl ExactLayer {
+    /// Returns the layer of a picture in tiles of `2^side` pixels that covers the cells for which `is_covered` returns
+    /// true; it receives the position of a cell's first pixel.
+    #[must_use]
+    pub fn of(pixels: &Pixels, side: u8, is_covered: impl Fn(usize, usize) -> bool) -> Self {
+        let size = [pixels.width(), pixels.height()];
+        let (row, count) = (size[0] as usize, pixels.channels().count());
+        let [across, down] = tile_counts(size, side);
+        let tile = |i: usize| {
+            let [left, top, width, height] = tile_area(size, side, i);
+            let starts = |length: usize| (0..length).step_by(CELL);
+            let cells: Vec<bool> =
+                starts(height).flat_map(|y| starts(width).map(move |x| (x, y))).map(|(x, y)| is_covered(left + x, top + y)).collect();
+            let at = |y: usize, x: usize| {
+                let is_covered = cells[y / CELL * width.div_ceil(CELL) + x / CELL];
+                is_covered.then_some(((top + y) * row + left + x) * count)
+            };
+            fn cut<T: Copy + Default>(v: &[T], at: impl Iterator<Item = Option<usize>>, count: usize) -> Vec<T> {
+                at.flat_map(|at| (0..count).map(move |k| at.map_or(T::default(), |at| v[at + k]))).collect()
+            }
+            let all = (0..height).flat_map(|y| (0..width).map(move |x| (y, x))).map(|(y, x)| at(y, x));
+            let samples = match pixels.samples() {
+                Samples::U8(v) => Samples::U8(cut(v, all, count)),
+                Samples::U16(v) => Samples::U16(cut(v, all, count)),
+            };
+            let is_whole = !cells.contains(&false);
+            cells.contains(&true).then(|| ExactTile { samples, cells: (!is_whole).then_some(cells) })
+        };
+        ExactLayer { side, tiles: (0..across * down).map(tile).collect() }
+    }
+
+    /// Returns the samples of a pixel, 1 is white, if the layer covers it. Unused channels are 0.
+    #[must_use]
+    pub fn pixel(&self, size: [u32; 2], channels: Channels, [x, y]: [usize; 2]) -> Option<[f64; 4]> {
+        let [across, _] = tile_counts(size, self.side);
+        let i = (y >> self.side) * across + (x >> self.side);
+        let [left, top, width, _] = tile_area(size, self.side, i);
+        let (tile, [x, y]) = (self.tiles[i].as_ref()?, [x - left, y - top]);
+        if tile.cells.as_ref().is_some_and(|cells| !cells[y / CELL * width.div_ceil(CELL) + x / CELL]) {
+            return None;
+        }
+        let at = (y * width + x) * channels.count();
+        Some(std::array::from_fn(|k| match &tile.samples {
+            _ if k >= channels.count() => 0.0,
+            Samples::U8(v) => f64::from(v[at + k]) / 255.0,
+            Samples::U16(v) => f64::from(v[at + k]) / 65_535.0,
+        }))
     }
 }
 
