@@ -140,7 +140,7 @@ class Header:
         self.most = [most_color(h, second >> 4) for h in (2, halves, halves, 2)][: self.channels]
         self.angle_counts = [self.angle_count(d) for d in range(256)]
         self.steps_of = {}
-        self.detail = None
+        self.detail = self.exact = None
 
     def angle_count(self, d):  # §4.2
         if d == 0:
@@ -195,7 +195,7 @@ def most_color(halves, luma):
 
 
 def read_sections(b, header, damaged):
-    """Skips all sections except `Dtal`, whose contents it stores in the header. Returns the bytes that the file's checksum covers."""
+    """Skips all sections except `Dtal` and `Exac`, whose contents it stores in the header. Returns the bytes that the file's checksum covers."""
     start, covered, last = b.at, b"", b""
     count = b.varint("section count")
     demand(1 <= count <= 64, "number of sections")
@@ -213,10 +213,17 @@ def read_sections(b, header, damaged):
         if name == b"Dtal":
             demand(is_right, "checksum of section Dtal")
             header.detail = DetailHead(contents, header)
+        elif name == b"Exac":
+            demand(is_right, "checksum of section Exac")
+            header.exact = ExactHead(contents, header)
         elif name[0] < 97:
             raise Illegal(f"unknown critical section {name.decode()}")
         elif not is_right:
             damaged.append(name.decode())
+    detail, exact = header.detail, header.exact
+    if detail and exact:
+        demand((detail.payload, detail.checksum) == (exact.payload, exact.checksum), "sections of the layers differ")
+    demand(not exact or detail or exact.detail == 0, "detail length without a detail layer")
     return covered
 
 
@@ -1089,23 +1096,23 @@ def wrapped(values):
 # §11.2
 
 
-def tile_count(header):
+def tile_count(header, side):
     width, height = header.size
-    return -(-width // TILE) * -(-height // TILE)
+    return -(-width // side) * -(-height // side)
 
 
-def tiles_of(header):
+def tiles_of(header, side):
     """Returns left, top, width and height of each tile."""
     width, height = header.size
-    corners = [(x, y) for y in range(0, height, TILE) for x in range(0, width, TILE)]
-    return [(x, y, min(TILE, width - x), min(TILE, height - y)) for x, y in corners]
+    corners = [(x, y) for y in range(0, height, side) for x in range(0, width, side)]
+    return [(x, y, min(side, width - x), min(side, height - y)) for x, y in corners]
 
 
-def read_tiles(b, header, lost=None):
-    """Returns the additions of each tile with its position. With a list `lost`, damaged tiles are appended to it, and the result is None if the index is damaged."""
-    count, entries = tile_count(header), []
+def read_tiles(b, header, side, decoded, lost=None):
+    """Returns what `decoded` makes of each tile's stream, with its position. With a list `lost`, damaged tiles are appended to it, and the result is None if the index is damaged."""
+    count, entries = tile_count(header, side), []
     try:
-        demand(count <= len(b.data) - b.at, "index of the detail layer is cut off")
+        demand(count <= len(b.data) - b.at, "index of a layer is cut off")
         for _ in range(count):
             length = b.varint("length of a tile")
             entries.append((length, int.from_bytes(b.take(2, "check of a tile"), "little") if length else 0))
@@ -1114,7 +1121,7 @@ def read_tiles(b, header, lost=None):
             raise
         return None
     tiles, at = [], b.at
-    for place, (length, check) in zip(tiles_of(header), entries):
+    for place, (length, check) in zip(tiles_of(header, side), entries):
         b.at, at = min(at, len(b.data)), at + length
         tiles.append((place, None))
         if length == 0:
@@ -1122,12 +1129,20 @@ def read_tiles(b, header, lost=None):
         try:
             stream = b.take(length, "tile")
             demand(zlib.crc32(stream) & 0xFFFF == check, "check of a tile")
-            tiles[-1] = place, Tile(stream, header, place[2:]).additions()
+            tiles[-1] = place, decoded(stream, header, place[2:])
         except Illegal:
             if lost is None:
                 raise
             lost.append(place)
     return tiles
+
+
+def detail_tiles(b, header, lost=None):
+    return read_tiles(b, header, TILE, lambda *tile: Tile(*tile).additions(), lost)
+
+
+def exact_tiles(b, header, lost=None):
+    return read_tiles(b, header, 1 << header.exact.side, lambda *tile: ExactTile(*tile).samples(), lost)
 
 
 # §11.3
@@ -1385,6 +1400,314 @@ def additions(header, tiles, size):
     return np.moveaxis(np.tensordot(shares(width, size[0]), np.moveaxis(whole, 1, 0), 1), 0, 1)
 
 
+# §12. The exact layer
+
+EXACT_CELL = 8
+MASK32, MASK64 = 2**32 - 1, 2**64 - 1
+NEIGHBOURS = (
+    [(-1, 0), (0, -1), (-1, -1), (1, -1), (-2, 0), (0, -2), (-2, -1), (2, -1), (-1, -2), (1, -2)]
+    + [(-3, 0), (0, -3), (-2, -2), (2, -2), (-3, -1), (3, -1), (-1, -3), (1, -3), (-4, 0), (-3, -2)]
+    + [(3, -2), (-2, -3), (2, -3), (4, -1), (-4, -1), (0, -4), (-5, 0), (4, -2), (-4, -2), (-1, -4)]
+)
+LENGTHS = 30, 18, 10, 6, 3
+
+
+class ExactHead:
+    """§12.1"""
+
+    def __init__(self, contents, header):
+        demand(header.layout >= 2, "layout of a file with an exact layer")
+        b = Bytes(contents)
+        self.payload, self.checksum = b.varint("payload length"), b.u32("payload checksum")
+        self.detail, self.side = b.varint("detail length"), b.byte("side")
+        demand(b.at == len(contents), "bytes behind the exact head")
+        demand(5 <= self.side <= 11, "side of the exact tiles")
+
+
+# §12.3
+
+
+def hashed(v):
+    v = v * 0x9E3779B97F4A7C15 & MASK64
+    return (v ^ v >> 29) * 0xD6E8FEB86659FD93 & MASK64
+
+
+def key(color):
+    return (color * 0x9E3779B97F4A7C15 & MASK64) >> 32
+
+
+def factors():
+    m = 0x2545F491
+    for _ in NEIGHBOURS:
+        m = m * 0x9E3779B1 & MASK32 | 1
+        yield m
+
+
+FACTORS = list(factors())
+LOGITS = [next((i for i in range(4096) if LOGISTIC[i] >= 16 * p + 8), 4095) - 2048 for p in range(4096)]
+
+
+def learnt(counter, bit):
+    """Returns a counter, as a pair of its probability and its count, after a bit."""
+    p, n = counter
+    return p + (((4095 * bit - p) * (131072 // (2 * n + 3)) + 32768) >> 16), min(15, n + 1)
+
+
+class AdaptiveBits:
+    """Adaptive bits that start alike, by context."""
+
+    def __init__(self, coder, start):
+        self.coder, self.start, self.of = coder, start, {}
+
+    def code(self, *context):
+        one, seen = self.start(*context)
+        model = self.of.setdefault(context, [256 * one + 128, 256 * one + 128, seen])
+        quick, slow, n = model
+        bit = self.coder.bit(clamp(quick + slow >> 1, 32, 65504))
+        target, pace = 65535 * bit, 131072 // (2 * n + 3)
+        quick += (target - quick) * min(32767, max(2730, pace)) >> 16
+        slow += (target - slow) * min(32767, max(512, pace)) >> 16
+        model[:] = quick, slow, min(127, n + 1)
+        return bit
+
+
+# §12.4
+
+
+class ExactTile:
+    def __init__(self, stream, header, size):
+        self.coder = coder = RangeDecoder(stream)
+        self.width, self.height = size
+        self.channels, self.bits = header.channels, 16 if header.sixteen else 8
+        self.white = sum((1 << self.bits) - 1 << 16 * k for k in range(self.channels))
+        self.address = clamp(ilog2(self.width * self.height) + 2, 10, 16)
+        self.whole = AdaptiveBits(coder, lambda *_: (240, 0))
+        self.longer = AdaptiveBits(coder, lambda *_: (128, 0))
+        self.follows = AdaptiveBits(coder, lambda o, misses, equal, confidence, shorter: (255 - 150 // (confidence + 2), 1))
+        self.equals = AdaptiveBits(coder, lambda *_: (128, 0))
+        self.entries = [{} for _ in LENGTHS]
+        self.lines, self.counters, self.weights = {}, {}, {}
+        self.runs = 0, 0
+        self.rows = []
+        self.covered = self.mask()
+        for y in range(self.height):
+            self.rows.append([])
+            self.row(y)
+        coder.finish()
+
+    def mask(self):
+        """Returns whether the layer covers each pixel, by rows."""
+        if not AdaptiveBits(self.coder, lambda: (4, 0)).code():
+            return [[1] * self.width for _ in range(self.height)]
+        across, down = -(-self.width // EXACT_CELL), -(-self.height // EXACT_CELL)
+        models = AdaptiveBits(self.coder, lambda *_: (128, 0))
+        cells = []
+        for y in range(down):
+            cells.append([])
+            for x in range(across):
+                cells[y].append(models.code(cells[y][x - 1] if x else 1, cells[y - 1][x] if y else 1))
+        demand(0 < sum(map(sum, cells)) < across * down, "covered cells of an exact tile")
+        return [[cells[y // EXACT_CELL][x // EXACT_CELL] for x in range(self.width)] for y in range(self.height)]
+
+    def at(self, x, y, current):
+        """Returns the colour at a place, while row `current` is coded."""
+        if y < 0:
+            return self.white
+        row = self.rows[y]
+        if x < 0:
+            return row[0] if y < current else self.at(0, y - 1, current)
+        return row[min(x, self.width - 1)]
+
+    def row(self, y):
+        row, ended = self.rows[y], False
+        while len(row) < self.width:
+            x = len(row)
+            near = [self.at(x + dx, y + dy, y) for dx, dy in NEIGHBOURS[:6]]
+            if not self.covered[y][x]:
+                row.append(near[0])
+            elif not ended and len({*near, self.at(x + 2, y - 1, y)}) == 1:
+                most = 1
+                while x + most < self.width and self.covered[y][x + most] and self.at(x + most + 1, y - 1, y) == near[0]:
+                    most += 1
+                length = self.run(most)
+                row += [near[0]] * length
+                ended = length < most
+            else:
+                self.color(x, y, near, [near[0]] if ended else [])
+                ended = False
+
+    def run(self, most):
+        largest = min(15, ilog2(most))
+        whole = self.whole.code(largest, *self.runs)
+        self.runs = self.runs[1], whole
+        if whole:
+            return most
+        e = 0
+        while e < largest and self.longer.code(largest, e):
+            e += 1
+        number = 1
+        for _ in range(e):
+            number = 2 * number + self.coder.bit(32768)
+        demand(number - 1 < most, "length of a run")
+        return number - 1
+
+    # §12.5
+
+    def color(self, x, y, near, excluded):
+        contexts = []
+        total, first = 0, 0
+        for length in reversed(LENGTHS):
+            for k in range(first, length):
+                dx, dy = NEIGHBOURS[k]
+                total += key(self.at(x + dx, y + dy, y)) * FACTORS[k]
+            first = length
+            s = total & MASK32
+            t = (s ^ s >> 15) * 0x2C1B3C6D & MASK32
+            h = t ^ t >> 13
+            contexts.insert(0, (h >> 32 - self.address, h & 0xFFFF | 1))
+        color = self.predicted(contexts, near, excluded)
+        if color is None:
+            color = self.literal(near)
+        self.rows[y].append(color)
+        for table, (place, check) in zip(self.entries, contexts):
+            entry = table.get(place)
+            if entry is not None and entry[1] == check and entry[0] == color:
+                entry[2] = min(63, entry[2] + 1)
+            elif entry is not None and entry[1] == check and entry[2] >= 4:
+                entry[2] //= 2
+            else:
+                table[place] = [color, check, 0]
+
+    def predicted(self, contexts, near, excluded):
+        found = []
+        for table, (place, check) in zip(self.entries, contexts):
+            entry = table.get(place)
+            found.append(entry if entry is not None and entry[1] == check else None)
+        w, n, nw, ne, ww, nn = near
+        misses = 0
+        for o, entry in enumerate(found):
+            if entry is None or entry[0] in excluded:
+                continue
+            color, shorter = entry[0], found[o + 1] if o < 4 else None
+            agrees = 0 if shorter is None else 1 if shorter[0] == color else 2
+            if self.follows.code(o, min(3, misses), (color == w) + 2 * (color == n), entry[2], agrees):
+                return color
+            excluded.append(color)
+            misses += 1
+        pattern = (w == n) + 2 * (w == nw) + 4 * (n == nw) + 8 * (n == ne) + 16 * (ww == w) + 32 * (nn == n)
+        for k, color in enumerate((w, n, nw, ne)):
+            if color not in excluded:
+                if self.equals.code(k, pattern, min(3, misses)):
+                    return color
+                excluded.append(color)
+        return None
+
+    # §12.6
+
+    def literal(self, near):
+        sample = lambda color, k: color >> 16 * k & 0xFFFF
+        color, residual, top = 0, 0, (1 << self.bits) - 1
+        q = lambda v: bits(v >> self.bits - 8)
+        med = lambda w, n, nw: clamp(w + n - nw, min(w, n), max(w, n))
+        for step, k in enumerate([(0,), (1, 0), (1, 0, 2), (3, 1, 0, 2)][self.channels - 1]):
+            by_green = self.channels >= 3 and k in (0, 2)
+            w, n, nw, ne, ww, nn = (sample(c, k) - (sample(c, 1) if by_green else 0) for c in near)
+            base = sample(color, 1) if by_green else 0
+            p = [base + med(w, n, nw), base + (w + n + (ne - nw >> 1) + 1 >> 1), base + w + ne - n]
+            if by_green and k == 2:
+                p[1] = sample(color, 0) + med(*(sample(c, 2) - sample(c, 0) for c in near[:3]))
+            p = [clamp(v, 0, top) for v in p]
+            edges, far = abs(w - nw) + abs(n - nw) + abs(n - ne), abs(w - ww) + abs(n - nn)
+            if step == 0:
+                a = q(edges + far), q(far), q(edges)
+            else:
+                a = q(edges + far), q(residual) + q(edges), q(residual)
+            value = self.sample(step, color, p, [min(15, v) for v in a])
+            residual = abs(value - p[0])
+            color |= value << 16 * k
+        return color
+
+    def sample(self, step, color, p, a):
+        value = 0
+        for bit in reversed(range(self.bits)):
+            if (bit + 1) % 4 == 0:
+                h = hashed(hashed(color) ^ (64 * step + bit + 1) << 32 ^ value)
+                check, node = h & 0xFFFF | 1, 1
+                line = self.lines.get(h >> 64 - self.address)
+                if line is None or line[0] != check:
+                    line = self.lines[h >> 64 - self.address] = [check] + [(2048, 0)] * 15
+            middle = value + (1 << bit)
+            places = []
+            for i in range(3):
+                d = p[i] - middle
+                v = d if d >= 0 else -1 - d
+                k = v if v < 2 else 2 * ilog2(v) + (v >> ilog2(v) - 1 & 1)
+                start = 2048 + 110 * min(15, k) if d >= 0 else 2047 - 110 * min(15, k)
+                places.append((i, step, bit, a[i], d >= 0, k))
+                self.counters.setdefault(places[i], (start, 1))
+            counters = [line[node]] + [self.counters[place] for place in places]
+            logits = [LOGITS[c[0]] for c in counters]
+            weights = self.weights.setdefault((step, bit, min(7, line[node][1])), [28000] * 4)
+            x = sum(l * (u >> 4) for l, u in zip(logits, weights)) >> 12
+            one = clamp(LOGISTIC[clamp(x, -2047, 2047) + 2048], 32, 65504)
+            is_one = self.coder.bit(one)
+            error = 65536 * is_one - one
+            weights[:] = [clamp(u + (l * error + 8192 >> 14), 1 - 2**19, 2**19 - 1) for l, u in zip(logits, weights)]
+            line[node] = learnt(line[node], is_one)
+            for place in places:
+                self.counters[place] = learnt(self.counters[place], is_one)
+            node, value = 2 * node + is_one, value + (is_one << bit)
+        return value
+
+    def samples(self):
+        """Returns the samples, rows × columns × channels, and whether each pixel is covered."""
+        colors = np.array(self.rows, np.uint64)
+        parts = [colors >> np.uint64(16 * k) & np.uint64(0xFFFF) for k in range(self.channels)]
+        return np.stack(parts, -1).astype(np.int64), np.array(self.covered, bool)
+
+
+# §12.7
+
+
+def boxes(side, pixels):
+    """Returns the parts of each output pixel that the pixels along an axis fill, as a matrix."""
+    step, out = side / pixels, np.zeros((pixels, side))
+    for i in range(pixels):
+        start, end = clamp(i * step, 0, side), clamp((i + 1) * step, 0, side)
+        first = min(int(start), side - 1)
+        for x in range(first, max(first + 1, min(side, math.ceil(end)))):
+            out[i, x] = (min(x + 1, end) - max(x, start)) / (end - start)
+    return out
+
+
+def cover(header, below, tiles, size):
+    """Returns the picture at this size: the samples `below`, and the exact tiles over them."""
+    (width, height), top = header.size, 65535 if header.sixteen else 255
+    values = np.zeros((height, width, header.channels), np.int64)
+    covered = np.zeros((height, width), bool)
+    for (x, y, across, down), tile in tiles:
+        if tile is not None:
+            values[y : y + down, x : x + across], covered[y : y + down, x : x + across] = tile
+    if tuple(size) == (width, height):
+        return np.where(covered[..., None], values, below).astype(below.dtype)
+    mean = lambda v: boxes(height, size[1]) @ v @ boxes(width, size[0]).T
+    part, out, view = mean(covered.astype(float)), below.copy(), below / top
+    alpha = header.channels % 2 == 0
+    share = (values[..., -1] / top + 2.0**-12) * covered if alpha else covered.astype(float)
+    rest = np.maximum(0, 1 - part)
+    under = rest * (view[..., -1] + 2.0**-12) if alpha else rest
+    for k in range(header.channels):
+        v = values[..., k] / top
+        if alpha and k == header.channels - 1:
+            mixed = mean(v * covered) + rest * view[..., k]
+        else:
+            total = mean(share) + under
+            mixed = (mean(v * share) + under * view[..., k]) / np.where(total > 0, total, 1)
+        code = np.floor(np.clip(mixed, 0, 1) * top + 0.5)
+        out[..., k] = np.where(part > 0, code, below[..., k])
+    return out
+
+
 # §5. The picture
 
 
@@ -1487,12 +1810,13 @@ def draw(header, background, primitives, tiles, size=None):
 
 
 def payload(b, header):
-    """Returns the bytes of the Gaussians: all remaining bytes, or those before a detail layer, which have a separate checksum (§11.1)."""
-    if header.detail is None:
+    """Returns the bytes of the Gaussians: all remaining bytes, or those before the layers, which have a separate checksum (§11.1)."""
+    head = header.detail or header.exact
+    if head is None:
         return Bytes(b.data, b.at)
     start = b.at
-    taken = b.take(header.detail.payload, "payload")
-    demand(zlib.crc32(header.bytes + taken) == header.detail.checksum, "checksum of the payload")
+    taken = b.take(head.payload, "payload")
+    demand(zlib.crc32(header.bytes + taken) == head.checksum, "checksum of the payload")
     return Bytes(b.data[: b.at], start)
 
 
@@ -1504,7 +1828,7 @@ def read_primitives(b, header):
 
 
 def read(data, header, notes):
-    """Returns background, primitives and tiles of an intact file."""
+    """Returns background, primitives, and the tiles of both layers of an intact file."""
     b, damaged = Bytes(data[:-4], len(header.bytes)), []
     demand(len(b.data) >= b.at, "checksum is cut off")
     covered = header.bytes + (read_sections(b, header, damaged) if header.sections else b"")
@@ -1512,20 +1836,25 @@ def read(data, header, notes):
     notes += [f"section {name} is damaged" for name in damaged]
     part = payload(b, header)
     background, primitives = read_primitives(part, header)
-    b.at, tiles = part.at, []
+    b.at, tiles, exact = part.at, [], []
     if header.detail:
-        tiles = read_tiles(b, header)
+        start = b.at
+        tiles = detail_tiles(b, header)
+        demand(not header.exact or b.at == start + header.exact.detail, "detail length")
+    if header.exact:
+        exact = exact_tiles(b, header)
     demand(b.at == len(b.data), "bytes left over")
-    return background, primitives, tiles
+    return background, primitives, tiles, exact
 
 
 def read_what_is_left(data, header, notes):
     """Returns the same for a damaged file (§9, §11.7)."""
-    b, lost, tiles, gone = Bytes(data, len(header.bytes)), [], [], []
+    b, lost, tiles, exact, gone = Bytes(data, len(header.bytes)), [], [], [], []
     if header.sections:
         read_sections(b, header, [])
     if header.layout == 3:
-        end = len(data) if header.detail is None else min(len(data), b.at + header.detail.payload)
+        head = header.detail or header.exact
+        end = len(data) if head is None else min(len(data), b.at + head.payload)
         background, primitives = read_groups(Bytes(data[:end], b.at), header, lost)
         b.at = end
         notes.append(f"{sum(lost)} of {header.count} primitives in {len(lost)} groups are missing")
@@ -1533,10 +1862,16 @@ def read_what_is_left(data, header, notes):
         part = payload(b, header)
         background, primitives = read_primitives(part, header)
         b.at = part.at
+    start = b.at
     if header.detail:
-        tiles, count = read_tiles(b, header, gone), tile_count(header)
+        end = len(data) if header.exact is None else min(len(data), start + header.exact.detail)
+        tiles, count = detail_tiles(Bytes(data[:end], start), header, gone), tile_count(header, TILE)
         notes.append(f"{count if tiles is None else len(gone)} of {count} tiles of the detail layer are missing")
-    return background, primitives, tiles or []
+    if header.exact:
+        b.at, gone = min(len(data), start + header.exact.detail), []
+        exact, count = exact_tiles(b, header, gone), tile_count(header, 1 << header.exact.side)
+        notes.append(f"{count if exact is None else len(gone)} of {count} tiles of the exact layer are missing")
+    return background, primitives, tiles or [], exact or []
 
 
 def decode(data, partial=False, size=None):
@@ -1548,11 +1883,15 @@ def decode(data, partial=False, size=None):
     try:
         picture = read(data, header, notes)
     except Illegal as e:
-        if not partial or header.layout != 3 and header.detail is None:
+        if not partial or header.layout != 3 and header.detail is None and header.exact is None:
             raise
         notes.append(str(e))
         picture = read_what_is_left(data, header, notes)
-    return header, draw(header, *picture, size), notes
+    *layers, exact = picture
+    samples = draw(header, *layers, size)
+    if exact:
+        samples = cover(header, samples, exact, size or header.size)
+    return header, samples, notes
 
 
 def write_pam(path, header, samples):

@@ -67,6 +67,7 @@ fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
         Target::Psnr(_) => Some(Parameter::Psnr),
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Some(Parameter::Quality),
+        Target::Lossless => Some(Parameter::Other("lossless")),
         Target::Auto | Target::Bytes(_) | Target::Ratio(_) => None,
     };
     let is_set = [
@@ -217,6 +218,7 @@ fn blank(picture: &Gaussians, layout: Layout, steps: Steps) -> Result<PackedSpla
         gaussians: Vec::new(),
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Metadata::default(),
     };
     rules::check(&splats)?;

@@ -26,6 +26,9 @@ pub enum Target {
     /// a time limit, the result is the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr)
     /// has its PSNR.
     Psnr(f64),
+    /// The picture itself, without loss: the file has an exact layer that covers the whole picture, and nothing else.
+    /// It requires [`Layout::Coded`](crate::Layout::Coded).
+    Lossless,
     /// Perceptual quality: the SSIMULACRA2 score of the file, `0..=100`, met within half a point. About 30, 50, 70 and
     /// 90 mean low, medium, high and very high quality. Encoding takes up to six tries, most of which start from the
     /// Gaussians of the previous one. If none meets the score, the result is the best file found, and

@@ -42,6 +42,7 @@ fn splats(channels: Channels, depth: Depth, metadata: Metadata) -> PackedSplats 
         gaussians: (0..25).map(|i| q.quantize(&gaussian(i))).collect(),
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata,
     }
 }

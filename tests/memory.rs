@@ -50,6 +50,7 @@ fn worst() -> Vec<(String, Vec<u8>)> {
             gaussians: vec![p; 7000],
             levels: Vec::new(),
             detail: None,
+            exact: None,
             metadata: Default::default(),
         };
         // As many as the format allows for these bytes.

@@ -111,7 +111,8 @@ impl Case {
         options.tune = one_of(rng, &[None, None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)]);
         options.blend = one_of(rng, &[None, None, None, Some(Blend::Sum)]);
         options.layout = one_of(rng, &[Layout::Coded, Layout::Coded, Layout::Coded, Layout::Packed, Layout::Planes]);
-        options.target = match rng.random_range(0..8) {
+        options.target = match rng.random_range(0..9) {
+            8 if options.layout == Layout::Coded => Target::Lossless,
             0 => Target::Auto,
             1 => Target::Ratio(rng.random_range(3.0..60.0)),
             2 => Target::Psnr(rng.random_range(18.0..45.0)),
@@ -175,6 +176,10 @@ fn checked(pixels: &Pixels, options: &EncodeOptions) -> Option<(Encoded, Pixels)
     let [reported, measured] =
         [encoded.report.psnr, metrics::psnr(pixels, &picture).unwrap()].map(|psnr| rms(psnr, pixels.depth()));
     assert!((reported - measured).abs() < 0.51, "the report says an error of {reported} code values, not {measured}");
+    if options.target == Target::Lossless {
+        let is_seen = pixels.channels().alpha().is_some() && options.hidden != HiddenColors::Keep;
+        assert!(if is_seen { measured == 0.0 } else { picture == *pixels }, "a file without loss has other samples");
+    }
     if let (Target::Psnr(wanted), None) = (options.target, options.time) {
         assert!(encoded.report.psnr >= wanted, "{} dB instead of {wanted}", encoded.report.psnr);
     }

@@ -7,6 +7,8 @@
 mod seal;
 mod sha256;
 mod synthetic;
+#[path = "vectors_exact/mod.rs"]
+mod vectors_exact;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -80,7 +82,7 @@ fn decode(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Outcome {
 fn reference_pixels(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Pixels {
     let splats = splats_of(bytes, folder, &Limits::default()).unwrap();
     let view = view(&splats, size);
-    let values = reference::detailed(&splats, &view);
+    let values = reference::layered(&splats, &view);
     let codes = values.into_iter().map(|v| reference::code(v, splats.depth));
     let samples = match splats.depth {
         Depth::Eight => Samples::U8(codes.map(|c| c as u8).collect()),
@@ -164,6 +166,7 @@ fn two(layout: Layout) -> PackedSplats {
         ],
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Default::default(),
     }
 }
@@ -871,7 +874,8 @@ fn reduced() -> Vec<Vector> {
 }
 
 fn all() -> Vec<Vector> {
-    [valid(), layered(), invalid(), broken_layers(), limits(), reduced(), partial()].into_iter().flatten().collect()
+    let gaussians = [valid(), layered(), invalid(), broken_layers(), limits(), reduced(), partial()];
+    gaussians.into_iter().chain([vectors_exact::all()]).flatten().collect()
 }
 
 /// Returns the case file of a vector, and its picture if it has one.

@@ -266,6 +266,10 @@ pub struct TargetArgs {
     /// PSNR; finds the smallest file that reaches it
     #[arg(help_heading = "Size or quality (at most one)", long, value_name = "DB", value_parser = positive)]
     pub psnr: Option<f64>,
+    /// The picture itself: decoding gives the same samples. Colours of fully transparent pixels become black unless
+    /// --keep-hidden is given
+    #[arg(help_heading = "Size or quality (at most one)", long)]
+    pub lossless: bool,
 }
 
 impl Encode {
@@ -285,6 +289,7 @@ impl Encode {
             t.primitives.map(Target::Primitives),
             t.psnr.map(Target::Psnr),
             t.quality.map(Target::Quality),
+            t.lossless.then_some(Target::Lossless),
         ];
         o.target = targets.into_iter().flatten().next().unwrap_or(o.target);
         o.effort = self.effort;

@@ -92,6 +92,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "exif_bytes": splats.metadata.exif.as_ref().map(Vec::len),
         "thumbnail_bytes": splats.metadata.thumbnail.as_ref().map(Vec::len),
         "detail": detail(splats, report),
+        "exact": exact(splats, report),
         "bytes": report.bytes,
         "ratio": ratio(report),
         "bits_per_primitive": per_primitive(8.0 * report.bytes as f64, splats),
@@ -116,6 +117,18 @@ fn detail(splats: &PackedSplats, report: &Report) -> Option<Value> {
         "step": f64::from(head.step) / 64.0,
         "classes": head.classes,
         "alpha": head.alpha,
+    }))
+}
+
+/// Returns the facts about the exact layer, if there is one.
+fn exact(splats: &PackedSplats, report: &Report) -> Option<Value> {
+    let layer = splats.exact.as_ref()?;
+    let covered = layer.covered([splats.width, splats.height]);
+    Some(json!({
+        "bytes": report.exact_bytes(),
+        "covered_pixels": covered,
+        "bits_per_covered_pixel": (covered > 0).then(|| 8.0 * report.exact_bytes() as f64 / covered as f64),
+        "tile_side": layer.tile_side(),
     }))
 }
 
@@ -153,6 +166,17 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
             layer.tiles(),
             layer.of_tiles(),
             report.layer_bits / layer.levels().max(1) as f64,
+        );
+    }
+    if let Some(layer) = &splats.exact {
+        let covered = layer.covered([splats.width, splats.height]);
+        let pixels = f64::from(splats.width) * f64::from(splats.height);
+        text += &format!(
+            "exact       {} bytes, {:.1} % of the pixels, {:.3} bits each, in tiles of {}\n",
+            report.exact_bytes(),
+            100.0 * covered as f64 / pixels,
+            8.0 * report.exact_bytes() as f64 / covered.max(1) as f64,
+            layer.tile_side(),
         );
     }
     text += "parts\n";

@@ -99,6 +99,7 @@ impl<'a> Arbitrary<'a> for Head {
             gaussians: Vec::new(),
             levels: Vec::new(),
             detail: None,
+            exact: None,
             metadata: Default::default(),
         }))
     }

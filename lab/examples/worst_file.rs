@@ -143,6 +143,7 @@ fn picture(side: u32, kind: &str, count: u32) -> PackedSplats {
         gaussians: gaussians.collect(),
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Default::default(),
     }
 }
@@ -177,6 +178,7 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
         gaussians: gaussians.collect(),
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Default::default(),
     }
 }

@@ -77,9 +77,9 @@ pub struct MissingParts {
     pub groups: u32,
     /// Number of groups in the whole file.
     pub of_groups: u32,
-    /// Number of missing tiles of the detail layer.
+    /// Number of missing tiles of the detail layer and the exact layer.
     pub tiles: u32,
-    /// Number of tiles of the whole detail layer.
+    /// Number of tiles of both layers in the whole file.
     pub of_tiles: u32,
     /// Whether the file is truncated or its checksum does not match, even if the whole picture could be read.
     pub damaged: bool,

@@ -171,6 +171,7 @@ impl Header {
             gaussians: Vec::new(),
             levels: Vec::new(),
             detail: None,
+            exact: None,
             metadata,
         }
     }

@@ -5,6 +5,7 @@ pub(crate) mod bytes;
 pub(crate) mod checksum;
 pub mod coder;
 pub(crate) mod detail;
+pub(crate) mod exact;
 mod groups;
 pub mod header;
 pub mod lattice;
@@ -21,6 +22,7 @@ mod write;
 pub use self::detail::DetailLayer;
 #[cfg(any(test, feature = "unstable"))]
 pub use self::detail::{DetailHead, Maker};
+pub use self::exact::ExactLayer;
 pub use self::groups::MissingParts;
 pub(crate) use self::read::{Reading, read_rest};
 #[cfg(any(test, feature = "unstable"))]

@@ -10,11 +10,13 @@ use super::checksum::Hasher;
 use super::coder::coded;
 use super::detail::head::{DetailHead, Spans, check_alpha};
 use super::detail::index::{self, Wanted};
+use super::exact::head::ExactHead;
+use super::exact::index as exact_index;
 use super::groups::MissingParts;
 use super::header::{Grouping, Header, Sections};
 #[cfg(any(test, feature = "unstable"))]
 use super::report::Report;
-use super::report::{Detail, INDEX, STREAMS, Tally};
+use super::report::{Detail, EXACT_INDEX, EXACT_STREAMS, INDEX, STREAMS, Tally};
 use super::rules::most_primitives;
 use super::sections::{SectionInfo, SectionsRead, read_sections};
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
@@ -162,7 +164,8 @@ impl Reading<'_> {
         let mut bytes = Bytes::new(&rest[..end], base);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
-        let SectionsRead { metadata, detail, infos } = self.sections(header, &mut bytes, &mut checksum, tally)?;
+        let SectionsRead { metadata, detail, exact, infos } =
+            self.sections(header, &mut bytes, &mut checksum, tally)?;
         let behind = &rest[bytes.taken().len()..end];
         checksum.update(behind);
         let computed = checksum.finalize();
@@ -170,7 +173,8 @@ impl Reading<'_> {
         if stored != computed {
             return Err(FormatError::Checksum { what: "file", stored, computed }.into());
         }
-        let mut payload = payload(header, &mut bytes, detail.as_ref())?;
+        let spans = spans(detail.as_ref(), exact.as_ref())?;
+        let mut payload = payload(header, &mut bytes, spans)?;
         if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
             return Err(FormatError::BadValue { field: "primitive count", value: header.primitives.into() }.into());
         }
@@ -182,18 +186,36 @@ impl Reading<'_> {
             (Layout::Coded, Grouping::Groups) => groups::read(&mut payload, header, area, &mut splats, tally)?,
         }
         payload.finish()?;
+        if self.layers == Layers::Gaussians {
+            if spans.is_some() {
+                bytes.rest();
+            }
+            bytes.finish()?;
+            return Ok((splats, infos));
+        }
+        let length = exact.as_ref().map_or(bytes.left() as u64, |head| head.detail);
+        let mut layer = bytes.part(length, "detail layer")?;
         if let Some((head, _)) = detail {
-            if self.layers == Layers::Gaussians {
+            let start = layer.left();
+            let wanted = self.wanted(header, area, tally.detail == Detail::Fields);
+            let found = index::read(&mut layer, head, &wanted, &mut working)?;
+            tally.part(INDEX, found.index);
+            tally.part(STREAMS, start - layer.left() - found.index);
+            tally.layer_bits = found.bits;
+            splats.detail = found.layer.map(Arc::new);
+        }
+        layer.finish()?;
+        if let Some(head) = exact {
+            if self.layers == Layers::Detail {
                 bytes.rest();
                 return Ok((splats, infos));
             }
             let start = bytes.left();
-            let wanted = self.wanted(header, area, tally.detail == Detail::Fields);
-            let found = index::read(&mut bytes, head, &wanted, &mut working)?;
-            tally.part(INDEX, found.index);
-            tally.part(STREAMS, start - bytes.left() - found.index);
-            tally.layer_bits = found.bits;
-            splats.detail = found.layer.map(Arc::new);
+            let wanted = self.wanted_exactly(header, area);
+            let found = exact_index::read(&mut bytes, &head, &wanted, &mut working)?;
+            tally.part(EXACT_INDEX, found.index);
+            tally.part(EXACT_STREAMS, start - bytes.left() - found.index);
+            splats.exact = found.layer.map(Arc::new);
         }
         bytes.finish()?;
         Ok((splats, infos))
@@ -205,6 +227,18 @@ impl Reading<'_> {
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
     }
 
+    /// Returns the part of an exact layer to read, with its limits.
+    fn wanted_exactly<'w>(&'w self, header: &Header, area: Option<&Rect>) -> exact_index::Wanted<'w> {
+        exact_index::Wanted {
+            size: [header.width, header.height],
+            channels: header.channels,
+            depth: header.depth,
+            area: area.copied(),
+            limits: self.limits,
+            passes_over: false,
+        }
+    }
+
     /// Parses the intact parts of the bytes after the header, and returns counts of the missing parts.
     pub(crate) fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, MissingParts)> {
         let mut working = self.reserve(header, rest)?;
@@ -214,23 +248,24 @@ impl Reading<'_> {
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
-        let SectionsRead { metadata, detail, .. } =
+        let SectionsRead { metadata, detail, exact, .. } =
             self.sections(header, &mut bytes, &mut checksum, &mut Tally::default())?;
-        if header.grouping == Grouping::Single && detail.is_none() {
+        let spans = spans(detail.as_ref(), exact.as_ref())?;
+        if header.grouping == Grouping::Single && spans.is_none() {
             let (splats, _) = self.whole(header, rest, None, &mut Tally::default())?;
             return Ok((splats, MissingParts::default()));
         }
         let behind = bytes.taken().len();
         let mut splats = header.empty(metadata);
         let mut missing = MissingParts::default();
-        match (header.grouping, detail.as_ref()) {
+        match (header.grouping, spans) {
             (Grouping::Groups, None) => missing = groups::read_intact(&mut bytes, header, &mut splats)?,
-            (Grouping::Groups, Some((_, spans))) => {
+            (Grouping::Groups, Some(spans)) => {
                 let mut payload = bytes.part(spans.payload.min(bytes.left() as u64), "payload")?;
                 missing = groups::read_intact(&mut payload, header, &mut splats)?;
             }
             (Grouping::Single, _) => {
-                let mut payload = payload(header, &mut bytes, detail.as_ref())?;
+                let mut payload = payload(header, &mut bytes, spans)?;
                 if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
                     let value = header.primitives.into();
                     return Err(FormatError::BadValue { field: "primitive count", value }.into());
@@ -239,17 +274,29 @@ impl Reading<'_> {
                 payload.finish()?;
             }
         }
-        if detail.is_some() && self.layers == Layers::Gaussians {
-            // The layer is skipped; only the checksum of the file covers its bytes.
-            bytes.take(bytes.left().saturating_sub(CHECKSUM) as u64, "detail layer")?;
-        } else if let Some((head, _)) = detail {
-            // The checksum at the end may be cut off. If it is read as a part of a stream, that stream fails its own
-            // check.
-            let wanted = Wanted { passes_over: true, ..self.wanted(header, None, false) };
-            let found = index::read(&mut bytes, head, &wanted, &mut working)?;
-            missing.tiles = found.missing;
-            missing.of_tiles = found.of;
-            splats.detail = found.layer.map(Arc::new);
+        // The checksum at the end may be cut off. If it is read as a part of a stream, that stream fails its own check.
+        if self.layers != Layers::Gaussians {
+            let length = exact.as_ref().map_or(bytes.left() as u64, |head| head.detail.min(bytes.left() as u64));
+            if let Some((head, _)) = detail {
+                let mut layer = bytes.clone().part(length, "detail layer")?;
+                let wanted = Wanted { passes_over: true, ..self.wanted(header, None, false) };
+                let found = index::read(&mut layer, head, &wanted, &mut working)?;
+                missing.tiles = found.missing;
+                missing.of_tiles = found.of;
+                splats.detail = found.layer.map(Arc::new);
+                // Without an exact layer, the detail layer says where it ends.
+                bytes.take(if exact.is_some() { length } else { length - layer.left() as u64 }, "detail layer")?;
+            }
+        }
+        if let Some(head) = exact.filter(|_| self.layers == Layers::Both) {
+            let wanted = exact_index::Wanted { passes_over: true, ..self.wanted_exactly(header, None) };
+            let found = exact_index::read(&mut bytes, &head, &wanted, &mut working)?;
+            missing.tiles += found.missing;
+            missing.of_tiles += found.of;
+            splats.exact = found.layer.map(Arc::new);
+        } else if spans.is_some() && (exact.is_some() || self.layers == Layers::Gaussians) {
+            // The layers are skipped; only the checksum of the file covers their bytes.
+            bytes.take(bytes.left().saturating_sub(CHECKSUM) as u64, "layers")?;
         }
         checksum.update(&bytes.taken()[behind..]);
         let computed = checksum.finalize();
@@ -293,14 +340,27 @@ impl Reading<'_> {
     }
 }
 
-/// Returns the Gaussians' bytes: all that remain, or those before the detail layer, which then have a checksum of
-/// their own.
-fn payload<'a>(header: &Header, bytes: &mut Bytes<'a>, detail: Option<&(DetailHead, Spans)>) -> Result<Bytes<'a>> {
-    let Some((_, spans)) = detail else {
+/// Returns the length and the checksum of the Gaussians' bytes if layers follow them.
+fn spans(detail: Option<&(DetailHead, Spans)>, exact: Option<&ExactHead>) -> Result<Option<Spans>> {
+    match (detail, exact) {
+        (Some((_, spans)), Some(exact)) if *spans != exact.spans => {
+            Err(Broken { field: "payload length of the exact layer's section", value: exact.spans.payload }.into())
+        }
+        (None, Some(exact)) if exact.detail > 0 => {
+            Err(Broken { field: "detail layer length without a detail layer", value: exact.detail }.into())
+        }
+        (Some((_, spans)), _) => Ok(Some(*spans)),
+        (None, exact) => Ok(exact.map(|exact| exact.spans)),
+    }
+}
+
+/// Returns the Gaussians' bytes: all that remain, or those before the layers, which then have a checksum of their own.
+fn payload<'a>(header: &Header, bytes: &mut Bytes<'a>, spans: Option<Spans>) -> Result<Bytes<'a>> {
+    let Some(spans) = spans else {
         return bytes.part(bytes.left() as u64, "payload");
     };
     if header.layout != Layout::Coded {
-        return Err(Broken { field: "layout of a file with a detail layer", value: header.layout as u64 }.into());
+        return Err(Broken { field: "layout of a file with layers", value: header.layout as u64 }.into());
     }
     let payload = bytes.part(spans.payload, "payload")?;
     let (stored, computed) = (spans.checksum, base_checksum(header.bytes(), payload.clone().rest()));

@@ -51,6 +51,10 @@ pub struct Report {
     pub layer_bits: f64,
 }
 
+/// The parts of the exact layer.
+pub(super) const EXACT_INDEX: &str = "index of the exact layer";
+pub(super) const EXACT_STREAMS: &str = "exact layer";
+
 /// The parts of the detail layer.
 pub(super) const INDEX: &str = "index of the detail layer";
 pub(super) const STREAMS: &str = "detail layer";
@@ -61,6 +65,15 @@ impl Report {
     #[must_use]
     pub fn layer_bytes(&self) -> u64 {
         self.parts.iter().filter(|part| [INDEX, STREAMS].contains(&part.name)).map(|part| part.bytes).sum()
+    }
+}
+
+#[cfg(any(test, feature = "unstable"))]
+impl Report {
+    /// Returns the bytes of the exact layer's index and streams; 0 without a layer.
+    #[must_use]
+    pub fn exact_bytes(&self) -> u64 {
+        self.parts.iter().filter(|part| [EXACT_INDEX, EXACT_STREAMS].contains(&part.name)).map(|part| part.bytes).sum()
     }
 }
 

@@ -244,6 +244,12 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
         let fits = layer.fits([splats.width, splats.height], splats.channels);
         in_range("tiles of the detail layer", fits, layer.tiles.len() as u64)?;
     }
+    if let Some(layer) = &splats.exact {
+        in_range("layout of a file with an exact layer", splats.layout == Layout::Coded, splats.layout as u64)?;
+        super::exact::head::check_side(layer.side)?;
+        let fits = layer.fits([splats.width, splats.height], splats.channels, splats.depth);
+        in_range("tiles of the exact layer", fits, layer.tiles.len() as u64)?;
+    }
     in_range("coarsest step", (-6..=9).contains(&s.coarsest), s.coarsest as u64)?;
     in_range("position range", i32::from(s.coarsest) - i32::from(s.range) >= MIN_EXPONENT, s.range.into())?;
     in_range("primitive count", u32::try_from(splats.gaussians.len()).is_ok(), splats.gaussians.len() as u64)?;

@@ -3,6 +3,7 @@
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
 use super::detail::head::{self as detail_head, DetailHead, Spans};
+use super::exact::head::{self as exact_head, ExactHead};
 use super::splats::{EXIF, ICC, Metadata, THUMBNAIL};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
@@ -10,6 +11,8 @@ use crate::parameter::Limit;
 
 /// Name of the critical section with the parameters of the detail layer that follows the payload.
 pub const DETAIL: [u8; 4] = *b"Dtal";
+/// Name of the critical section with the parameters of the exact layer at the end of the file.
+pub const EXACT: [u8; 4] = *b"Exac";
 
 /// Maximum number of sections in a file.
 pub const MAX_SECTIONS: usize = 64;
@@ -31,6 +34,7 @@ pub(crate) struct SectionsRead {
     pub metadata: Metadata,
     /// The detail layer's head, and the end of the Gaussians' bytes.
     pub detail: Option<(DetailHead, Spans)>,
+    pub exact: Option<ExactHead>,
     pub infos: Vec<SectionInfo>,
 }
 
@@ -67,7 +71,7 @@ pub(crate) fn read_sections(
     header: u32,
     checksum: &mut Hasher,
 ) -> Result<SectionsRead> {
-    let (mut metadata, mut layer, mut infos) = (Metadata::default(), None, Vec::new());
+    let (mut metadata, mut layer, mut exact, mut infos) = (Metadata::default(), None, None, Vec::new());
     let mut head = bytes.taken().len();
     let count = bytes.varint("section count")?;
     if !(1..=MAX_SECTIONS as u64).contains(&count) {
@@ -103,6 +107,13 @@ pub(crate) fn read_sections(
                 layer = Some(detail_head::read(contents, bytes.offset() - length)?);
                 None
             }
+            EXACT if stored != computed => {
+                return Err(FormatError::Checksum { what: "section of the exact layer", stored, computed }.into());
+            }
+            EXACT => {
+                exact = Some(exact_head::read(contents, bytes.offset() - length)?);
+                None
+            }
             _ if name[0].is_ascii_uppercase() => return Err(FormatError::UnknownCriticalSection { name }.into()),
             _ => None,
         };
@@ -111,7 +122,7 @@ pub(crate) fn read_sections(
                 metadata.damaged.push(name);
                 SectionFate::Damaged
             }
-            None if name == DETAIL => SectionFate::Kept,
+            None if name == DETAIL || name == EXACT => SectionFate::Kept,
             None => SectionFate::Skipped,
             Some(slot) => {
                 *slot = Some(contents.to_vec());
@@ -121,21 +132,21 @@ pub(crate) fn read_sections(
         infos.push(SectionInfo { name, bytes: (before - bytes.left()) as u64, fate });
     }
     checksum.update(&bytes.taken()[head..]);
-    Ok(SectionsRead { metadata, detail: layer, infos })
+    Ok(SectionsRead { metadata, detail: layer, exact, infos })
 }
 
-/// Appends the sections of `metadata`, and that of the detail layer with the given contents, and updates the checksum
-/// of the file. The sections' checksums start from that of the `header`.
+/// Appends the sections of the `layers` with the given contents, and those of `metadata`, and updates the checksum of
+/// the file. The sections' checksums start from that of the `header`.
 pub(crate) fn put_sections(
     metadata: &Metadata,
-    layer: Option<&[u8]>,
+    layers: &[([u8; 4], Vec<u8>)],
     header: u32,
     out: &mut Vec<u8>,
     checksum: &mut Hasher,
 ) {
     let mut head = out.len();
     // Names with capital letters come first.
-    let sections = || layer.map(|contents| (DETAIL, contents)).into_iter().chain(metadata.sections());
+    let sections = || layers.iter().map(|(name, contents)| (*name, &contents[..])).chain(metadata.sections());
     put_varint(sections().count() as u64, out);
     for (name, contents) in sections() {
         out.extend_from_slice(&name);

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::detail::DetailLayer;
+use super::exact::ExactLayer;
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::Depth;
 
@@ -115,6 +116,8 @@ pub struct PackedSplats {
     pub levels: Vec<u32>,
     /// The detail layer, which is added to the rendered Gaussians. Only the coded layout can have one.
     pub detail: Option<Arc<DetailLayer>>,
+    /// The exact layer, which replaces the pixels that it covers. Only the coded layout can have one.
+    pub exact: Option<Arc<ExactLayer>>,
     /// ICC profile, EXIF block and thumbnail.
     pub metadata: Metadata,
 }

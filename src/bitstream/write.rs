@@ -7,10 +7,12 @@ use super::checksum::{Hasher, hash};
 use super::coder::coded;
 use super::detail::head::{self, Spans};
 use super::detail::index;
+use super::exact::head::{self as exact_head, ExactHead};
+use super::exact::index as exact_index;
 use super::groups;
 use super::header::{Grouping, Sections, put_header};
 use super::rules::{self, most_primitives};
-use super::sections::put_sections;
+use super::sections::{DETAIL, EXACT, put_sections};
 use super::splats::{Layout, PackedSplats};
 use super::uncoded::{packed, planes};
 use crate::error::{Error, Result};
@@ -32,7 +34,8 @@ pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
 /// [`Error::Parameter`] if the integers break spec §4.
 pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     rules::check(splats)?;
-    let has_sections = splats.metadata.sections().next().is_some() || splats.detail.is_some();
+    let has_layers = splats.detail.is_some() || splats.exact.is_some();
+    let has_sections = splats.metadata.sections().next().is_some() || has_layers;
     let sections = if has_sections { Sections::Present } else { Sections::Absent };
     let (mut out, mut checksum) = (Vec::new(), Hasher::new());
     let grouping = groups::grouping(splats);
@@ -46,17 +49,26 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
         (Layout::Coded, Grouping::Single) => coded::put(splats, &mut payload)?,
         (Layout::Coded, Grouping::Groups) => groups::put(splats, header, &mut payload)?,
     }
+    let size = [splats.width, splats.height];
+    let mut detail = Vec::new();
+    if let Some(layer) = &splats.detail {
+        index::put(layer, size, splats.channels, &mut detail);
+    }
     if has_sections {
-        let contents = splats.detail.as_ref().map(|layer| {
-            let spans = Spans { payload: payload.len() as u64, checksum: base_checksum(&out, &payload) };
-            head::contents(&layer.head, spans)
+        let spans = Spans { payload: payload.len() as u64, checksum: base_checksum(&out, &payload) };
+        let exact = splats.exact.as_ref().map(|layer| {
+            let head = ExactHead { spans, detail: detail.len() as u64, side: layer.side };
+            (EXACT, exact_head::contents(&head))
         });
-        put_sections(&splats.metadata, contents.as_deref(), header, &mut out, &mut checksum);
+        let detail = splats.detail.as_ref().map(|layer| (DETAIL, head::contents(&layer.head, spans)));
+        let layers: Vec<_> = detail.into_iter().chain(exact).collect();
+        put_sections(&splats.metadata, &layers, header, &mut out, &mut checksum);
     }
     let behind = out.len();
     out.extend_from_slice(&payload);
-    if let Some(layer) = &splats.detail {
-        index::put(layer, [splats.width, splats.height], splats.channels, &mut out);
+    out.extend_from_slice(&detail);
+    if let Some(layer) = &splats.exact {
+        exact_index::put(layer, size, splats.channels, splats.depth, &mut out);
     }
     checksum.update(&out[behind..]);
     if splats.gaussians.len() as u64 > most_primitives(payload.len() as u64) {

@@ -19,7 +19,7 @@ use crate::gaussian::{Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::options::{Damage, Layers};
 use crate::pixels::{Depth, Pixels};
-use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
+use crate::raster::{Canvas, ExactOverlay, Overlay, Renderer, SamplesMut, View};
 use crate::rect::Rect;
 
 /// A file of which only the header has been read. It returns the size and the channels of the picture before memory is
@@ -236,7 +236,8 @@ impl<'a> Reader<'a> {
             }
         };
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
-        let layer = splats.detail.as_ref().map_or(0, |layer| layer.memory());
+        let layer = splats.detail.as_ref().map_or(0, |layer| layer.memory())
+            + splats.exact.as_ref().map_or(0, |layer| layer.memory());
         let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64 + layer)?;
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
@@ -401,8 +402,12 @@ impl PackedSplats {
         let quantizer = self.quantizer();
         let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
         let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
-        match self.overlay().filter(|_| view.shown() != Layers::Gaussians) {
-            Some(overlay) => renderer.with(overlay, limits),
+        let renderer = match self.overlay().filter(|_| view.shown() != Layers::Gaussians) {
+            Some(overlay) => renderer.with(overlay, limits)?,
+            None => renderer,
+        };
+        match self.exact_overlay().filter(|_| view.shown() == Layers::Both) {
+            Some(exact) => renderer.with_exact(exact, limits),
             None => Ok(renderer),
         }
     }
@@ -411,6 +416,12 @@ impl PackedSplats {
     pub(crate) fn canvas(&self) -> Canvas {
         let background = self.quantizer().dequantize_color(self.background);
         Canvas { channels: self.channels, blend: self.blend, background }
+    }
+
+    /// Returns the exact layer to draw over the rest, if the file has one.
+    pub(crate) fn exact_overlay(&self) -> Option<ExactOverlay> {
+        let layer = self.exact.as_ref()?;
+        Some(ExactOverlay::new(Arc::clone(layer), self.channels, [self.width, self.height]))
     }
 
     /// Returns the detail layer to add to the Gaussians, if the file has one.

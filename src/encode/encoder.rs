@@ -76,6 +76,25 @@ impl Encoder {
         self.target(Target::Psnr(psnr))
     }
 
+    /// Sets the target [`Target::Lossless`]: decoding the file gives the samples of the picture, with 8 or 16 bits.
+    /// Colours under alpha 0 become black unless [`hidden_colors`](Encoder::hidden_colors) keeps them. Effort, time and
+    /// tuning have no effect.
+    ///
+    /// ```
+    /// use ssplat::{Channels, Decoder, Encoder, Pixels, Samples};
+    ///
+    /// let samples = (0..20 * 10 * 3).map(|i| (i * i % 251) as u8).collect();
+    /// let pixels = Pixels::new(20, 10, Channels::Rgb, Samples::U8(samples))?;
+    /// let file = Encoder::new().lossless().encode(&pixels)?.bytes;
+    /// assert_eq!(Decoder::new().decode(&file)?.pixels, pixels);
+    /// # Ok::<(), ssplat::Error>(())
+    /// ```
+    #[must_use]
+    #[doc(alias("exact"))]
+    pub fn lossless(self) -> Self {
+        self.target(Target::Lossless)
+    }
+
     /// Sets the target [`Target::Quality`]: an SSIMULACRA2 score, `0..=100`.
     #[cfg(feature = "quality-hook")]
     #[must_use]

@@ -72,6 +72,7 @@ mod tests {
             gaussians: gaussians.collect(),
             levels: Vec::new(),
             detail: None,
+            exact: None,
             metadata: Metadata::default(),
         }
     }

@@ -77,6 +77,7 @@ pub(super) fn empty(
         gaussians: Vec::new(),
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Metadata::default(),
     }
 }

@@ -14,6 +14,7 @@ mod hidden;
 mod input;
 mod job;
 mod layer;
+mod lossless;
 mod machine_speed;
 mod pipeline;
 mod prune;
@@ -139,6 +140,9 @@ fn encode_by(
             parameter: Parameter::Precision,
             problem: "it applies to given Gaussians only".into(),
         });
+    }
+    if options.target == Target::Lossless {
+        return lossless::encode(source, options, ReportBuilder::new(progress, Tracer::new(options.trace)));
     }
     let side = side(source, options);
     let texture = || if side.is_none() { source.as_pixels().and_then(Texture::of_pixels) } else { None };

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::drawn::drawn;
+use super::report::ReportBuilder;
 use super::session::{EncodeSession, Outcome};
 use super::{Encoded, Progress, whole};
 use crate::bitstream::splats::PackedSplats;
@@ -125,6 +126,25 @@ pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outco
     outcome.bytes = session.file(&outcome.splats)?;
     session.report().stage("thumbnail", clock);
     Ok(())
+}
+
+/// Returns a thumbnail for a file of `bytes` bytes, if it should have one.
+pub(super) fn for_file(
+    splats: &PackedSplats,
+    bytes: u64,
+    options: &EncodeOptions,
+    report: &mut ReportBuilder<'_>,
+) -> Result<Option<Vec<u8>>> {
+    let max_bytes = room(options, [splats.width, splats.height], bytes);
+    if max_bytes == 0 {
+        return Ok(None);
+    }
+    let since = report.seconds();
+    let bytes = of(splats, max_bytes, options, &mut |done| {
+        (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
+    })?;
+    report.stage("thumbnail", since);
+    Ok(Some(bytes))
 }
 
 fn room_in<'a, S: EncodeSession<'a>>(session: &S, bytes: u64) -> u64 {

@@ -14,7 +14,7 @@ use crate::limits::Limits;
 use crate::options::Layers;
 use crate::parameter::{Limit, Parameter};
 use crate::pixels::{Depth, Pixels, Samples};
-use crate::raster::{self, Overlay, View};
+use crate::raster::{self, ExactOverlay, Overlay, SamplesMut, View};
 use crate::rect::Rect;
 use std::sync::Arc;
 
@@ -39,6 +39,8 @@ pub struct Renderer {
     area: Option<Rect>,
     /// Detail layer to add to the Gaussians.
     overlay: Option<Arc<Overlay>>,
+    /// Exact layer, which the CPU draws over each band.
+    exact: Option<ExactOverlay>,
     primitives: wgpu::Buffer,
     stage: Option<Canvas>,
     /// Rows of the output per band.
@@ -113,7 +115,14 @@ impl Renderer {
         let quantizer = splats.quantizer();
         let gaussians = (splats.gaussians.len(), |i: usize| quantizer.dequantize(&splats.gaussians[i]));
         let overlay = splats.overlay().map(Arc::new);
-        Ok(Renderer { layers, area, overlay, ..Renderer::on(device, &splats.canvas(), gaussians, limits, budget)? })
+        let exact = splats.exact_overlay();
+        Ok(Renderer {
+            layers,
+            area,
+            overlay,
+            exact,
+            ..Renderer::on(device, &splats.canvas(), gaussians, limits, budget)?
+        })
     }
 
     fn on(
@@ -166,6 +175,7 @@ impl Renderer {
             layers: Layers::Both,
             area: None,
             overlay: None,
+            exact: None,
             primitives: buffer,
             stage: None,
             band_rows: u32::MAX,
@@ -361,8 +371,76 @@ impl Renderer {
                 continue;
             }
             pairs += u64::from(found);
+            if let Some(exact) = self.exact.as_ref().filter(|_| view.shown() == Layers::Both) {
+                exact.check(view, &self.limits, &self.budget)?;
+                self.cover(exact, view, (format, stride), first..first + rows)?;
+            }
             take(&self.device, &stage.codes, u64::from(rows) * u64::from(stride), first)?;
             first += rows;
+        }
+        Ok(())
+    }
+
+    /// Draws the exact layer over the codes of some rows, on the CPU.
+    fn cover(
+        &self,
+        exact: &ExactOverlay,
+        view: &View,
+        (format, stride): (Format, u32),
+        rows: std::ops::Range<u32>,
+    ) -> Result<()> {
+        let codes = &self.stage.as_ref().expect("just rendered").codes;
+        let channels = self.canvas.channels;
+        let words = rows.len() as u64 * u64::from(stride);
+        let samples = rows.len() * view.width() as usize * channels.count();
+        let _held = self.budget.reserve(words * 4 + 2 * samples as u64)?;
+        // Positions of a pixel's samples among those of the codes: each channel of the picture, and where it is shown.
+        let [red, blue] = if matches!(format, Format::Bgra8) { [2, 0] } else { [0, 2] };
+        let places: &[(usize, usize)] = match channels {
+            Channels::Grey => &[(0, red), (0, 1), (0, blue)],
+            Channels::GreyAlpha => &[(0, red), (0, 1), (0, blue), (1, 3)],
+            Channels::Rgb => &[(0, red), (1, 1), (2, blue)],
+            Channels::Rgba => &[(0, red), (1, 1), (2, blue), (3, 3)],
+        };
+        /// Runs `draw` on the pixels of codes, and writes the result back.
+        fn with_pixels<T: Copy + Default>(
+            codes: &mut [T],
+            (stride, width): (usize, usize),
+            (count, places): (usize, &[(usize, usize)]),
+            draw: impl FnOnce(&mut [T]),
+        ) {
+            let mut pixels = Vec::with_capacity(codes.len() / stride * width * count);
+            for row in codes.chunks_exact(stride) {
+                for code in row[..4 * width].chunks_exact(4) {
+                    let value = |k: usize| places.iter().find(|place| place.0 == k).map_or(T::default(), |p| code[p.1]);
+                    pixels.extend((0..count).map(value));
+                }
+            }
+            draw(&mut pixels);
+            let mut drawn = pixels.chunks_exact(count);
+            for row in codes.chunks_exact_mut(stride) {
+                for (code, pixel) in row[..4 * width].chunks_exact_mut(4).zip(&mut drawn) {
+                    places.iter().for_each(|&(k, place)| code[place] = pixel[k]);
+                }
+            }
+        }
+        let (stride, width) = (stride as usize, view.width() as usize);
+        let kind = (channels.count(), places);
+        match format {
+            Format::Rgba16 => {
+                let mut values: Vec<u16> = self.device.read_as(codes, 2 * words as usize)?;
+                with_pixels(&mut values, (2 * stride, width), kind, |out| {
+                    exact.draw_over(view, rows, SamplesMut::U16(out));
+                });
+                self.device.write(codes, &values);
+            }
+            _ => {
+                let mut values = self.device.read(codes, words * 4)?;
+                with_pixels(&mut values, (4 * stride, width), kind, |out| {
+                    exact.draw_over(view, rows, SamplesMut::U8(out));
+                });
+                self.device.write(codes, &values);
+            }
         }
         Ok(())
     }

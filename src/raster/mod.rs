@@ -25,6 +25,7 @@
 //! ```
 
 mod bins;
+mod exact;
 mod kernel;
 mod overlay;
 mod project;
@@ -34,6 +35,7 @@ mod renderer;
 mod samples;
 mod view;
 
+pub(crate) use exact::ExactOverlay;
 #[cfg(feature = "gpu")]
 pub(crate) use overlay::Additions;
 pub(crate) use overlay::Overlay;

@@ -113,6 +113,47 @@ pub fn filtered(picture: &Gaussians, view: &View) -> Vec<f64> {
     out
 }
 
+/// Returns the colour values of every pixel of `view`, with all layers (spec §5.5, §11.6, §12.7).
+#[must_use]
+pub fn layered(splats: &PackedSplats, view: &View) -> Vec<f64> {
+    let mut values = detailed(splats, view);
+    let Some(layer) = &splats.exact else { return values };
+    let (size, channels) = ([splats.width, splats.height], splats.channels);
+    let (count, alpha) = (channels.count(), channels.alpha());
+    let hidden = f64::from(HIDDEN);
+    // The pixels under an output pixel along an axis, with the parts of it that they fill.
+    let boxes = |k: usize, index: u32| -> Vec<(usize, f64)> {
+        let side = f64::from(size[k]);
+        let edge = |i: u32| (view.origin[k] + f64::from(view.offset[k] + i) * view.step[k]).clamp(0.0, side);
+        let (start, end) = (edge(index), edge(index + 1));
+        let first = (start as usize).min(size[k] as usize - 1);
+        let after = (end.ceil() as usize).clamp(first + 1, size[k] as usize);
+        (first..after).map(|i| (i, (end.min(i as f64 + 1.0) - start.max(i as f64)) / (end - start))).collect()
+    };
+    for (i, below) in values.chunks_exact_mut(count).enumerate() {
+        let [columns, rows] = [boxes(0, i as u32 % view.width()), boxes(1, i as u32 / view.width())];
+        let (mut sums, mut weights, mut covered) = ([0.0; 4], [0.0; 4], 0.0);
+        for (&(y, down), &(x, across)) in rows.iter().flat_map(|row| columns.iter().map(move |column| (row, column))) {
+            let Some(pixel) = layer.pixel(size, channels, [x, y]) else { continue };
+            covered += down * across;
+            for k in 0..count {
+                let opacity = alpha.filter(|&alpha| alpha != k).map_or(1.0, |alpha| pixel[alpha] + hidden);
+                sums[k] += down * across * opacity * pixel[k];
+                weights[k] += down * across * opacity;
+            }
+        }
+        if covered > 0.0 {
+            let rest = (1.0 - covered).max(0.0);
+            let view: Vec<f64> = below.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+            for k in 0..count {
+                let opacity = alpha.filter(|&alpha| alpha != k).map_or(1.0, |alpha| view[alpha] + hidden);
+                below[k] = (sums[k] + rest * opacity * view[k]) / (weights[k] + rest * opacity);
+            }
+        }
+    }
+    values
+}
+
 /// Returns the colour values of every pixel of `view` as [`filtered`] does, with the additions of a detail layer (spec
 /// §11.6).
 #[must_use]

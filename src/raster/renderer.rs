@@ -1,6 +1,7 @@
 //! Renders a view, at once or band by band, on all threads.
 
 use super::bins::Bins;
+use super::exact::ExactOverlay;
 use super::kernel::{Added, Drawing, Job, Scratch, Source, TILE_HEIGHT, TILE_WIDTH, Window};
 use super::overlay::Overlay;
 use super::project::{Splats, project};
@@ -33,6 +34,8 @@ pub struct Renderer {
     bins: Bins,
     /// Detail layer to add to the Gaussians.
     overlay: Option<Overlay>,
+    /// Exact layer to draw over the rest.
+    exact: Option<ExactOverlay>,
     /// Memory account for pixels.
     budget: Budget,
     backend: Dispatch,
@@ -134,6 +137,7 @@ impl Renderer {
             splats,
             bins,
             overlay: None,
+            exact: None,
             budget: budget.clone(),
             backend: Dispatch::Detected,
             pool: Mutex::new(Vec::new()),
@@ -151,6 +155,16 @@ impl Renderer {
         let (stride, rows) = (self.stride(), rows.max(overlay.rows_at_once(self.stride()).min(self.view.height)));
         overlay.check(&self.view, stride, rows, &self.budget)?;
         self.overlay = Some(overlay);
+        Ok(self)
+    }
+
+    /// Adds an exact layer to the renderer.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] if drawing it takes too much memory or work.
+    pub(crate) fn with_exact(mut self, exact: ExactOverlay, limits: &Limits) -> Result<Self> {
+        exact.check(&self.view, limits, &self.budget)?;
+        self.exact = Some(exact);
         Ok(self)
     }
 
@@ -249,11 +263,23 @@ impl Renderer {
     /// Renders at a depth that is chosen at compile time, so that a program that uses one depth does not contain the
     /// kernels of the other.
     #[inline(never)]
-    fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
+    fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, out: &mut [T]) {
         assert!(bands.start < bands.end, "no bands in {bands:?}");
-        let (first, last) = (self.band_rows(bands.start), self.band_rows(bands.end - 1));
-        let want = (last.end - first.start) as usize * self.row_len();
+        let rows = self.band_rows(bands.start).start..self.band_rows(bands.end - 1).end;
+        let want = rows.len() * self.row_len();
         assert_eq!(out.len(), want, "samples for bands {bands:?}");
+        let Some(exact) = &self.exact else {
+            self.draw_below(bands, out);
+            return;
+        };
+        if !exact.hides(&self.view, &rows) {
+            self.draw_below(bands, out);
+        }
+        exact.draw(&self.view, rows, out);
+    }
+
+    /// Renders the Gaussians and the detail layer.
+    fn draw_below<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
         let mut parts = Vec::with_capacity(bands.len());
         for band in bands {
             let (part, rest) = out.split_at_mut(self.band_rows(band).len() * self.row_len());

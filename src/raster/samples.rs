@@ -1,6 +1,6 @@
 //! Code values of either depth, written into the caller's buffer.
 
-use crate::pixels::Depth;
+use crate::pixels::{Depth, Samples};
 use crate::simd::{LANES, Simd};
 
 /// Output buffer of a renderer: rows one after the other, from the top, with interleaved channels.
@@ -39,7 +39,7 @@ pub(super) struct Codes {
 }
 
 /// A code value.
-pub(super) trait Sample: Copy + Default + Send + Sync {
+pub(super) trait Sample: Copy + Default + Send + Sync + Into<f32> {
     /// The code value of white.
     const WHITE: f32;
 
@@ -51,6 +51,9 @@ pub(super) trait Sample: Copy + Default + Send + Sync {
 
     /// Writes eight pixels with interleaved channels from code values, which are rounded down.
     fn store<S: Simd, const C: usize>(simd: S, to: &mut [Self], v: [S::Vector; C]);
+
+    /// Copies exact samples, from position `at` on, and converts them to this depth.
+    fn copy_exact(samples: &Samples, at: usize, to: &mut [Self]);
 }
 
 impl Sample for u8 {
@@ -81,6 +84,16 @@ impl Sample for u8 {
             }
         }
     }
+
+    fn copy_exact(samples: &Samples, at: usize, to: &mut [u8]) {
+        match samples {
+            Samples::U8(v) => to.copy_from_slice(&v[at..][..to.len()]),
+            // Rounds to the nearest of the values `257·v`.
+            Samples::U16(v) => {
+                to.iter_mut().zip(&v[at..]).for_each(|(to, &v)| *to = ((u32::from(v) + 128) / 257) as u8)
+            }
+        }
+    }
 }
 
 impl Sample for u16 {
@@ -105,6 +118,13 @@ impl Sample for u16 {
             for c in 0..C {
                 pixel[c] = codes[c][i] as u16;
             }
+        }
+    }
+
+    fn copy_exact(samples: &Samples, at: usize, to: &mut [u16]) {
+        match samples {
+            Samples::U8(v) => to.iter_mut().zip(&v[at..]).for_each(|(to, &v)| *to = 257 * u16::from(v)),
+            Samples::U16(v) => to.copy_from_slice(&v[at..][..to.len()]),
         }
     }
 }

@@ -119,6 +119,7 @@ pub fn scene(scene: &Scene) -> PackedSplats {
         gaussians,
         levels: Vec::new(),
         detail: None,
+        exact: None,
         metadata: Default::default(),
     }
 }

@@ -242,6 +242,7 @@ mod tests {
             gaussians: Vec::new(),
             levels: Vec::new(),
             detail: None,
+            exact: None,
             metadata: Metadata::default(),
         };
         let rules = Rules::of(&splats);

@@ -70,6 +70,11 @@ LOGISTIC: [u32; 4096] = {
     table
 });
 
+/// Returns entry `i`, below 4096, of the table `logistic`.
+pub(crate) fn logistic_value(i: usize) -> u16 {
+    LOGISTIC[i] as u16
+}
+
 table!(/// `2¹⁶·(4096·2·ln 2)/(16·m)` for the mean magnitude `m` of each spread.
 INVERSE: [u32; SPREADS] = {
     let mut table = [0; SPREADS];

@@ -325,7 +325,7 @@ pub(in crate::encode) fn base_time(effort: u8, until: Option<Instant>) -> Option
 /// Returns whether the encoder tries several sizes until the file reaches the requested quality.
 pub(in crate::encode) fn is_search(target: Target) -> bool {
     match target {
-        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
+        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) | Target::Lossless => false,
         Target::Psnr(_) => true,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => true,

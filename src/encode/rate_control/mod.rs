@@ -42,7 +42,7 @@ pub(super) fn picture_size(options: &EncodeOptions, samples: f64, fixed: u64) ->
         Target::Auto => Size::Bytes(((samples / AUTO_RATIO) as u64).max(fixed + MIN_AUTO_BYTES)),
         Target::Ratio(ratio) => Size::Bytes(((samples / ratio).floor() as u64).saturating_sub(metadata)),
         Target::Bytes(bytes) => Size::Bytes(bytes.saturating_sub(metadata)),
-        Target::Primitives(_) | Target::Psnr(_) => Size::Free,
+        Target::Primitives(_) | Target::Psnr(_) | Target::Lossless => Size::Free,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Size::Free,
     }
@@ -113,6 +113,7 @@ fn picture<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
         }
         Target::Primitives(count) => session.at_count(count as usize)?,
         Target::Psnr(psnr) => psnr::to_psnr(session, psnr)?,
+        Target::Lossless => unreachable!("a file without loss needs no fit"),
         #[cfg(feature = "quality-hook")]
         Target::Quality(quality) => quality::to_quality(session, quality)?,
     };

@@ -1,0 +1,189 @@
+//! Predicts whole colours: from the colours that followed the same neighbours before, then from the nearest neighbours
+//! (spec §12.5).
+
+use super::tile::Neighbours;
+use crate::bitstream::coder::range::Coder;
+use crate::bitstream::detail::decisions::{Adaptive, Decisions};
+
+/// Neighbours of the contexts, nearest first: columns to the left, and rows up.
+const NEIGHBOURS: [[i32; 2]; 30] = [
+    [-1, 0],
+    [0, -1],
+    [-1, -1],
+    [1, -1],
+    [-2, 0],
+    [0, -2],
+    [-2, -1],
+    [2, -1],
+    [-1, -2],
+    [1, -2],
+    [-3, 0],
+    [0, -3],
+    [-2, -2],
+    [2, -2],
+    [-3, -1],
+    [3, -1],
+    [-1, -3],
+    [1, -3],
+    [-4, 0],
+    [-3, -2],
+    [3, -2],
+    [-2, -3],
+    [2, -3],
+    [4, -1],
+    [-4, -1],
+    [0, -4],
+    [-5, 0],
+    [4, -2],
+    [-4, -2],
+    [-1, -4],
+];
+/// Numbers of neighbours of the contexts, longest first.
+const LENGTHS: [usize; ORDERS] = [30, 18, 10, 6, 3];
+const ORDERS: usize = 5;
+/// Largest confidence of an entry.
+const MAX_CONFIDENCE: u8 = 63;
+/// Columns and rows around a pixel that contexts refer to.
+pub(super) const REACH: usize = 5;
+pub(super) const ROWS_ABOVE: usize = 4;
+
+/// Bytes of the entries that share an address.
+pub(super) const ENTRY_BYTES: u64 = (ORDERS * size_of::<Entry>()) as u64;
+
+/// The colour that last followed a context.
+#[derive(Debug, Clone, Copy, Default)]
+struct Entry {
+    /// Position in the tile of a pixel of this colour.
+    at: u32,
+    /// Check value of the context; 0 if the entry is empty.
+    check: u16,
+    confidence: u8,
+}
+
+/// Models of predicted colours.
+pub(super) struct Colors {
+    /// Entries by context length and hash.
+    entries: [Vec<Entry>; ORDERS],
+    /// Number of bits of the hash that entries are addressed by.
+    address: u32,
+    offsets: [isize; 30],
+    factors: [u32; 30],
+    /// Whether the colour is that of an entry: by length, misses so far, neighbours of the same colour, confidence,
+    /// and the entry of the next shorter context.
+    follows: Vec<Adaptive>,
+    /// Whether the colour is that of a neighbour: by neighbour, and which neighbours are equal.
+    equals: Vec<Adaptive>,
+}
+
+/// The places of a pixel's contexts.
+pub(super) struct Contexts {
+    places: [usize; ORDERS],
+    checks: [u16; ORDERS],
+}
+
+impl Colors {
+    /// Returns new models for tiles whose rows are `stride` pixels apart, with `2^address` entries a length.
+    pub(super) fn new(stride: usize, address: u32) -> Self {
+        let mut factor = 0x2545_f491u32;
+        let factors = std::array::from_fn(|_| {
+            factor = factor.wrapping_mul(0x9e37_79b1) | 1;
+            factor
+        });
+        let start = |i: usize| Adaptive::new((255 - 150 / (i / 3 % 64 + 2)) as u8, 1);
+        Colors {
+            entries: std::array::from_fn(|_| vec![Entry::default(); 1 << address]),
+            address,
+            offsets: NEIGHBOURS.map(|[x, y]| x as isize + y as isize * stride as isize),
+            factors,
+            follows: (0..ORDERS * 4 * 4 * 64 * 3).map(start).collect(),
+            equals: vec![Adaptive::new(128, 0); 4 * 256],
+        }
+    }
+
+    /// Returns the contexts of the pixel at `at`.
+    #[inline(always)]
+    pub(super) fn contexts(&self, keys: &[u32], at: usize) -> Contexts {
+        let mut contexts = Contexts { places: [0; ORDERS], checks: [0; ORDERS] };
+        let (mut sum, mut from) = (0u32, 0);
+        for order in (0..ORDERS).rev() {
+            for k in from..LENGTHS[order] {
+                let key = keys[at.wrapping_add_signed(self.offsets[k])];
+                sum = sum.wrapping_add(key.wrapping_mul(self.factors[k]));
+            }
+            from = LENGTHS[order];
+            let mixed = (sum ^ sum >> 15).wrapping_mul(0x2c1b_3c6d);
+            let hash = mixed ^ mixed >> 13;
+            contexts.places[order] = (hash >> (32 - self.address)) as usize;
+            contexts.checks[order] = hash as u16 | 1;
+        }
+        contexts
+    }
+
+    /// Codes whether the colour of a pixel is a predicted one, other than `excluded`. Returns that colour.
+    #[inline(always)]
+    pub(super) fn code<D: Decisions + Coder>(
+        &mut self,
+        decisions: &mut D,
+        pixels: &[u64],
+        (contexts, near): (&Contexts, &Neighbours),
+        excluded: Option<u64>,
+        given: u64,
+    ) -> Option<u64> {
+        let found: [Option<u64>; ORDERS] = std::array::from_fn(|order| {
+            let entry = self.entries[order][contexts.places[order]];
+            (entry.check == contexts.checks[order]).then(|| pixels[entry.at as usize])
+        });
+        let (mut tried, mut count) = ([0; 10], 0);
+        if let Some(color) = excluded {
+            (tried[0], count) = (color, 1);
+        }
+        let mut misses = 0;
+        for order in 0..ORDERS {
+            let Some(color) = found[order] else { continue };
+            if tried[..count].contains(&color) {
+                continue;
+            }
+            let shorter = match found.get(order + 1).copied().flatten() {
+                None => 0,
+                Some(other) if other == color => 1,
+                Some(_) => 2,
+            };
+            let equal = usize::from(color == near.w) + 2 * usize::from(color == near.n);
+            let confidence = usize::from(self.entries[order][contexts.places[order]].confidence);
+            let model = (((order * 4 + misses.min(3)) * 4 + equal) * 64 + confidence) * 3 + shorter;
+            if Decisions::bit(decisions, &mut self.follows[model], color == given) {
+                return Some(color);
+            }
+            (tried[count], count, misses) = (color, count + 1, misses + 1);
+        }
+        let pattern = near.pattern() + 64 * misses.min(3);
+        for (k, color) in [near.w, near.n, near.nw, near.ne].into_iter().enumerate() {
+            if tried[..count].contains(&color) {
+                continue;
+            }
+            if Decisions::bit(decisions, &mut self.equals[256 * k + pattern], color == given) {
+                return Some(color);
+            }
+            (tried[count], count) = (color, count + 1);
+        }
+        None
+    }
+
+    /// Enters the colour of the pixel at `at`, which `pixels` already contains.
+    #[inline(always)]
+    pub(super) fn learn(&mut self, pixels: &[u64], contexts: &Contexts, at: usize) {
+        for order in 0..ORDERS {
+            let (check, new) = (contexts.checks[order], at as u32);
+            let entry = &mut self.entries[order][contexts.places[order]];
+            if entry.check != check {
+                *entry = Entry { at: new, check, confidence: 0 };
+            } else if pixels[entry.at as usize] == pixels[at] {
+                entry.confidence = (entry.confidence + 1).min(MAX_CONFIDENCE);
+            } else if entry.confidence < 4 {
+                *entry = Entry { at: new, check, confidence: 0 };
+            } else {
+                entry.confidence /= 2;
+            }
+        }
+    }
+}
