@@ -24,6 +24,7 @@ pub struct Options {
     psnr: Option<f64>,
     primitives: Option<i128>,
     quality: Option<f64>,
+    lossless: bool,
     effort: i128,
     time: Option<f64>,
     seed: i128,
@@ -74,12 +75,13 @@ impl Options {
             self.psnr.map(|psnr| Ok(Target::Psnr(psnr))),
             self.primitives.map(|count| integer("primitives", count).map(Target::Primitives)),
             self.quality.map(|quality| Ok(Target::Quality(quality))),
+            self.lossless.then_some(Ok(Target::Lossless)),
         ];
         let mut asked = asked.into_iter().flatten();
         match (asked.next(), asked.next()) {
             (None, _) => Ok(Target::Auto),
             (Some(target), None) => target,
-            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives and quality can be given")),
+            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives, quality and lossless can be given")),
         }
     }
 

@@ -29,6 +29,7 @@ def encode(
     psnr: float | None = None,
     primitives: int | None = None,
     quality: float | None = None,
+    lossless: bool = False,
     effort: int = 5,
     time: float | None = None,
     progress: Callable[[str, float], object] | None = None,
@@ -65,7 +66,9 @@ def encode(
         primitives: number of Gaussians.
         quality: perceptual quality to reach, 0 to 100: the SSIMULACRA2 score of the file, within half a point. Low,
             medium, high and very high quality are about 30, 50, 70 and 90. The search takes up to six tries. A
-            QualityWarning is issued if the score is not reached. At most one of these five targets may be given.
+            QualityWarning is issued if the score is not reached.
+        lossless: the file decodes to the samples of the picture. Colours under alpha 0 become black unless
+            ``keep_hidden`` is set. At most one of these six targets may be given.
         effort: 1 to 9.
         time: wall-clock budget, seconds. If it is too short for ``effort``, a lower effort is used. When it runs out, the
             best state so far is written.
@@ -116,6 +119,7 @@ def encode(
         "psnr": real("psnr", psnr),
         "primitives": whole("primitives", primitives),
         "quality": real("quality", quality),
+        "lossless": lossless,
         "effort": whole("effort", effort),
         "time": real("time", time),
         "seed": whole("seed", seed),
