@@ -33,9 +33,12 @@ const MIN_INK: f64 = 0.005;
 const MIN_EDGES: f64 = 0.005;
 
 /// Returns a note on the file of a drawing, which has `bytes` bytes and this PSNR, if a lossless PNG is no larger or if
-/// the file is blurred. Pictures of 16 bits per sample have none.
+/// the file is blurred. Pictures of 16 bits per sample and files without loss have none.
 pub fn note(pixels: &Pixels, bytes: usize, psnr: f64) -> Option<String> {
     let Samples::U8(samples) = pixels.samples() else { return None };
+    if psnr.is_infinite() {
+        return None;
+    }
     let count = u64::from(pixels.width()) * u64::from(pixels.height());
     let size = pixels.channels().count();
     if !(MIN_PIXELS..=MAX_PIXELS).contains(&count) {
