@@ -49,7 +49,8 @@ fn byte(reader: &mut impl Read) -> io::Result<u8> {
 const TWELVE_BITS: &str = "is a JPEG with 12 bits per sample, which is not supported: convert it first, with \
                            `djpeg IN.jpg > OUT.ppm` of libjpeg-turbo 3";
 
-/// Returns what is not supported about the frame that starts with `marker` (ISO/IEC 10918-1, table B.1), and what to do.
+/// Returns what is not supported about the frame that starts with `marker` (ISO/IEC 10918-1, table B.1), and what to
+/// do.
 fn unsupported_frame(marker: u8) -> Option<&'static str> {
     Some(match marker {
         0xC9 | 0xCA | 0xCC => {

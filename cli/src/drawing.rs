@@ -22,8 +22,8 @@ const SHARP: f64 = 34.0;
 /// Bytes of the PNG, relative to those of the file, above which the PNG is no alternative to a blurred file.
 const MAX_LONGER: usize = 8;
 
-/// Largest distance of the noise of paper from its level, smallest distance of ink, and smallest step of an edge, in 8-bit
-/// code values.
+/// Largest distance of the noise of paper from its level, smallest distance of ink, and smallest step of an edge, in
+/// 8-bit code values.
 const NOISE: u32 = 8;
 const CONTRAST: u32 = 80;
 const EDGE: u32 = 48;

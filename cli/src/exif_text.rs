@@ -16,8 +16,8 @@ const START: &[u8; 33] = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\0\x01\0\0\0\x01\x
 /// Start of its samples, where reading ends.
 const END: &[u8; 8] = b"\0\0\0\x0aIDAT";
 
-/// Reads the block in the text chunk of `stated`, if it has one. A block that cannot be read is left out, with a note. The
-/// input is rewound.
+/// Reads the block in the text chunk of `stated`, if it has one. A block that cannot be read is left out, with a note.
+/// The input is rewound.
 pub fn read(
     path: &Path,
     input: &mut (impl BufRead + Seek),

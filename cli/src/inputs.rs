@@ -217,8 +217,8 @@ fn list(
     Ok(())
 }
 
-/// Whether a file holds the attributes of another file, as macOS writes them beside it on foreign file systems: by its name
-/// or its first bytes.
+/// Whether a file holds the attributes of another file, as macOS writes them beside it on foreign file systems: by its
+/// name or its first bytes.
 fn is_apple_double(path: &Path) -> bool {
     let is_named = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"._"));
     let starts = || {

@@ -19,8 +19,8 @@ const FILLER_BYTES: usize = 1 << 12;
 /// Longest file that is examined, in bytes.
 const MAX_BYTES: u64 = 1 << 28;
 
-/// Returns whether the JPEG in `input` has all of its samples: it has scans for all coefficients, and its picture does not
-/// depend on the bytes that follow. The input is rewound.
+/// Returns whether the JPEG in `input` has all of its samples: it has scans for all coefficients, and its picture does
+/// not depend on the bytes that follow. The input is rewound.
 pub fn has_all_samples(path: &Path, input: &mut (impl BufRead + Seek)) -> Result<bool, Failure> {
     let io = |e| Failure::io(path, &e);
     let mut file = Vec::new();

@@ -35,8 +35,8 @@ const MAX_WORK: u64 = 1 << 32;
 /// Share by which a gamma may differ from 2.2: that for `gAMA` of PNG.
 const SAME_GAMMA: f64 = 0.05;
 
-/// Bytes per pixel and channel while a picture is decoded: two copies of the samples as floats, for filters, and one more
-/// where the decoder does not convert them to code values.
+/// Bytes per pixel and channel while a picture is decoded: two copies of the samples as floats, for filters, and one
+/// more where the decoder does not convert them to code values.
 const BYTES_PER_SAMPLE: u64 = 12;
 
 /// Decodes the picture in `input`, which came from `path`. The pixels are upright, because JPEG XL has an orientation
@@ -205,8 +205,8 @@ fn divide<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], channels: Chann
     }
 }
 
-/// Refuses a codestream whose profile is longer than [`MAX_PROFILE_BYTES`], before it is decompressed. A codestream that
-/// cannot be parsed is left to the decoder.
+/// Refuses a codestream whose profile is longer than [`MAX_PROFILE_BYTES`], before it is decompressed. A codestream
+/// that cannot be parsed is left to the decoder.
 fn check_profile(path: &Path, codestream: &[u8]) -> Result<(), Failure> {
     let mut bits = Bitstream::new(codestream);
     let Ok(header) = ImageHeader::parse(&mut bits, ()) else { return Ok(()) };
@@ -296,8 +296,8 @@ fn exponent(transfer: TransferFunction) -> f64 {
     }
 }
 
-/// Whether the encoding is the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes it. It
-/// stands for sRGB, as it does in PNG.
+/// Whether the encoding is the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes it.
+/// It stands for sRGB, as it does in PNG.
 fn has_usual_gamma(encoding: &EnumColourEncoding) -> bool {
     let is_srgb = encoding.colour_space == ColourSpace::Grey || matches!(encoding.primaries, Primaries::Srgb);
     is_srgb && matches!(encoding.white_point, WhitePoint::D65) && (exponent(encoding.tf) / 2.2 - 1.0).abs() < SAME_GAMMA

@@ -311,7 +311,8 @@ fn together<T: Copy>(path: &Path, all: Vec<T>, stride: usize, pixels: usize, cou
     Ok((0..pixels).flat_map(|i| planes.iter().map(move |plane| plane[i])).collect())
 }
 
-/// Returns samples of fewer than 8 bits, one of each pixel: numbers of colours as they are, and grey stretched to 8 bits.
+/// Returns samples of fewer than 8 bits, one of each pixel: numbers of colours as they are, and grey stretched to 8
+/// bits.
 fn unpacked(packed: &[u8], directory: &Directory) -> Vec<u8> {
     let bits = usize::from(directory.bits);
     let width = directory.width as usize;
@@ -345,7 +346,8 @@ fn looked_up(path: &Path, samples: Samples, map: &[u16]) -> Result<Samples, Fail
     })
 }
 
-/// Converts YCbCr of the full range to RGB. `luma` are the shares of red, green and blue; those of ITU-R BT.601 by default.
+/// Converts YCbCr of the full range to RGB. `luma` are the shares of red, green and blue; those of ITU-R BT.601 by
+/// default.
 fn rgb(mut samples: Vec<u8>, luma: Option<&[f32]>) -> Vec<u8> {
     let &[red, green, blue] = luma.and_then(|luma| luma.first_chunk()).unwrap_or(&[0.299, 0.587, 0.114]);
     for pixel in samples.chunks_exact_mut(3) {

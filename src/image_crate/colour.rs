@@ -166,8 +166,8 @@ impl Transfer {
     }
 }
 
-/// Returns the profile of a white point, of three primaries (chromaticities x, y), and of a transfer function; `None` if
-/// it cannot be created. Grey profiles have neither white point nor primaries.
+/// Returns the profile of a white point, of three primaries (chromaticities x, y), and of a transfer function; `None`
+/// if it cannot be created. Grey profiles have neither white point nor primaries.
 pub fn of_chromaticities(chromaticities: [f64; 8], transfer: Transfer, is_grey: bool) -> Option<Vec<u8>> {
     let mut profile = ColorProfile::new_srgb();
     if !is_grey {
@@ -202,8 +202,8 @@ fn encoded(mut profile: ColorProfile, curve: ToneReprCurve, is_grey: bool) -> Op
 /// The white point of the connection space, D50, as a profile stores it (ICC.1, 7.2.16).
 const D50: [u8; 12] = [0, 0, 0xF6, 0xD6, 0, 1, 0, 0, 0, 0, 0xD3, 0x2D];
 
-/// Returns the profile `icc`, which moxcms wrote, as ICC.1 wants it and libpng checks it: tags start at multiples of four
-/// bytes, the white point is exactly D50, and there are a name and a copyright. Equal tags share their bytes.
+/// Returns the profile `icc`, which moxcms wrote, as ICC.1 wants it and libpng checks it: tags start at multiples of
+/// four bytes, the white point is exactly D50, and there are a name and a copyright. Equal tags share their bytes.
 fn conforming(icc: &[u8]) -> Option<Vec<u8>> {
     let word = |at: usize| icc.get(at..at + 4)?.first_chunk().map(|bytes| u32::from_be_bytes(*bytes));
     let mut tags: Vec<([u8; 4], Vec<u8>)> = Vec::new();

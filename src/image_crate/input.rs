@@ -31,8 +31,9 @@ pub fn limits() -> image::Limits {
 /// decompresses the profile within the rest; one that does not fit is lost.
 const MAX_PNG_ALLOC: u64 = 3 * MAX_PROFILE_BYTES;
 
-/// Returns a decoder for the picture in `reader`, without the parts that `stated` hides. The format is recognized by its content, or else by the extension of
-/// `path`. The bytes of its samples are checked against `limits`, and the decoder may use the rest.
+/// Returns a decoder for the picture in `reader`, without the parts that `stated` hides. The format is recognized by
+/// its content, or else by the extension of `path`. The bytes of its samples are checked against `limits`, and the
+/// decoder may use the rest.
 ///
 /// # Errors
 /// [`ImageError::Limits`] if the picture takes more than `limits`; errors of the decoder and of `reader`.

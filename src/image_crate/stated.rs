@@ -1,5 +1,5 @@
-//! What a picture file states about its colours, its alpha and its metadata that the decoders of `image` ignore, and the
-//! parts that are hidden from them to bound their memory.
+//! What a picture file states about its colours, its alpha and its metadata that the decoders of `image` ignore, and
+//! the parts that are hidden from them to bound their memory.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
 
@@ -16,8 +16,8 @@ pub const MAX_PROFILE_BYTES: u64 = 4 << 20;
 /// Maximum length of an EXIF block of a PNG, bytes. Longer blocks are left out.
 const MAX_PNG_EXIF_BYTES: u32 = 16 << 20;
 
-/// Maximum number of chunks or segments that are hidden from a decoder. Files with more are refused: their decoder would
-/// keep all of them in memory.
+/// Maximum number of chunks or segments that are hidden from a decoder. Files with more are refused: their decoder
+/// would keep all of them in memory.
 const MAX_HIDDEN: usize = 1 << 16;
 
 /// Whether the profile of a picture is used.
@@ -136,8 +136,8 @@ impl Stated {
         self.exif.clone()
     }
 
-    /// Corrects the pixels that a decoder returned: removes an alpha channel that it adds to all pictures of the format,
-    /// if it is opaque, and divides premultiplied colours by alpha.
+    /// Corrects the pixels that a decoder returned: removes an alpha channel that it adds to all pictures of the
+    /// format, if it is opaque, and divides premultiplied colours by alpha.
     pub fn corrected(&self, picture: DynamicImage) -> DynamicImage {
         match picture {
             DynamicImage::ImageRgba8(picture) if self.always_has_alpha && picture.pixels().all(|p| p.0[3] == 255) => {
@@ -181,12 +181,12 @@ fn divide<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], count: usize, m
 }
 
 /// Reads what the file in `reader` states about its colours: `cICP`, `gAMA` and `cHRM` of PNG, and the profiles of TIFF
-/// and WebP. Finds the parts of the file that are hidden from its decoder, because it would keep them in memory: text of
-/// PNG, and profiles that are too long or that `profiles` ignores. The reader is rewound.
+/// and WebP. Finds the parts of the file that are hidden from its decoder, because it would keep them in memory: text
+/// of PNG, and profiles that are too long or that `profiles` ignores. The reader is rewound.
 ///
 /// # Errors
-/// Errors of `reader`, and [`ErrorKind::FileTooLarge`] for a file with too many parts to hide. A truncated file is not an
-/// error.
+/// Errors of `reader`, and [`ErrorKind::FileTooLarge`] for a file with too many parts to hide. A truncated file is not
+/// an error.
 pub fn look(reader: &mut (impl BufRead + Seek), profiles: Profiles) -> io::Result<Stated> {
     let mut stated = Stated::default();
     let found = match reader.fill_buf()? {
@@ -362,8 +362,8 @@ enum Extra {
     At(u64),
 }
 
-/// Reads the first directory of a TIFF or a BigTIFF. `image` limits the values of a tag to 1/32 of the samples, and loses
-/// the profiles of small pictures.
+/// Reads the first directory of a TIFF or a BigTIFF. `image` limits the values of a tag to 1/32 of the samples, and
+/// loses the profiles of small pictures.
 fn tiff(reader: &mut (impl Read + Seek), stated: &mut Stated) -> io::Result<()> {
     stated.ignores_decoder = true;
     let head: [u8; 8] = bytes(reader)?;

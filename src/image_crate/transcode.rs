@@ -86,8 +86,8 @@ impl Encoder {
     /// encoder with [`icc`](Encoder::icc) or [`exif`](Encoder::exif) replaces that of the picture. What a PNG states
     /// about its colours without a profile (cICP, gAMA, cHRM) becomes a profile, except for PQ and HLG, which no
     /// profile can express. [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) omits a profile that is
-    /// equivalent to sRGB. A profile of more than 4 MiB, decompressed, is omitted, and so is one that does not match the
-    /// channels of the picture. A TIFF with premultiplied alpha is converted to straight alpha.
+    /// equivalent to sRGB. A profile of more than 4 MiB, decompressed, is omitted, and so is one that does not match
+    /// the channels of the picture. A TIFF with premultiplied alpha is converted to straight alpha.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
@@ -97,8 +97,8 @@ impl Encoder {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input` or needs more
-    /// than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another
+    /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input` or needs
+    /// more than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another
     /// format; otherwise as [`Encoder::encode`].
     pub fn transcode(&self, input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<EncodeReport> {
         transcode(input, output, self.options())
