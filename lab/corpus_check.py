@@ -11,8 +11,10 @@ script makes pictures of every kind that Pillow writes.
 
 import argparse
 import collections
+import contextlib
 import pathlib
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -111,7 +113,9 @@ def check(args, folder):
     found = collections.Counter()
     differ, refused, slow, told = [], [], [], collections.Counter()
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
-    with tempfile.TemporaryDirectory() as place:
+    # The results so far are printed if the script is ended.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt), tempfile.TemporaryDirectory() as place:
         out, png = pathlib.Path(place, "o.ssplat"), pathlib.Path(place, "p.png")
         for path in files:
             if args.extensions and path.suffix.lower().lstrip(".") not in args.extensions:

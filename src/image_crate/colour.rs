@@ -46,7 +46,7 @@ pub fn misfit(icc: &[u8], is_grey: bool) -> Option<String> {
         _ if is_profile && length > icc.len() => Some("is cut off".into()),
         b"GRAY" if is_grey => None,
         b"RGB " if !is_grey => None,
-        _ if !is_profile => Some("is broken".into()),
+        _ if !is_profile && !matches!(space, b"GRAY" | b"RGB " | b"CMYK" | b"Lab ") => Some("is broken".into()),
         space => {
             let space = if space == b"GRAY" { "grey".into() } else { String::from_utf8_lossy(space) };
             let samples = if is_grey { "grey" } else { "RGB" };
@@ -313,6 +313,19 @@ mod tests {
             [linear, adobe, grey].iter().all(|icc| icc[24..36] == CREATION_DATE),
             "the profile must not contain the current time"
         );
+    }
+
+    #[test]
+    fn a_profile_fits_the_samples_of_its_space() {
+        let grey = of_gamma(Some(1.0), None, true).unwrap();
+        let rgb = of_gamma(Some(1.0), None, false).unwrap();
+        assert_eq!((misfit(&grey, true), misfit(&rgb, false)), (None, None));
+        assert_eq!(misfit(&grey, false).unwrap(), "is for grey, not for the RGB samples");
+        assert_eq!(misfit(&rgb, true).unwrap(), "is for RGB, not for the grey samples");
+        assert_eq!(misfit(&rgb[..rgb.len() - 1], false).unwrap(), "is cut off");
+        for junk in [&[][..], &[7; 500], &b"a text of more than 40 letters, for all to read".repeat(2)] {
+            assert_eq!(misfit(junk, false).unwrap(), "is broken");
+        }
     }
 
     #[test]
