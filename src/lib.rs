@@ -1,4 +1,5 @@
-//! Lossy image compression with 2D Gaussians and a detail layer: encoder and decoder of the `.ssplat` format.
+//! Image compression with 2D Gaussians, a detail layer and an exact layer: encoder and decoder of the `.ssplat`
+//! format.
 //!
 //! A file stores a picture as coloured, stretched and rotated Gaussians ("splats") instead of pixels, and where it
 //! pays, a second layer with texture. It describes a continuous image, so any region can be rendered at any size. The

@@ -1,11 +1,13 @@
 //! Mutations that pass checksums: bytes are changed as the fuzzer likes and the checksums corrected, or the integers
 //! of a valid file are changed and written again.
 
+use std::sync::Arc;
+
 use libfuzzer_sys::fuzzer_mutate;
 use ssplat::unstable::bitstream::header::{Header, Sections};
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
-use ssplat::unstable::bitstream::{read, to_bytes};
-use ssplat::{Error, FormatError};
+use ssplat::unstable::bitstream::{ExactLayer, read, to_bytes};
+use ssplat::{Depth, Error, FormatError, Pixels, Samples};
 
 use crate::{Levels, layer, tight_limits};
 
@@ -83,11 +85,34 @@ fn varint(bytes: &[u8], at: &mut usize) -> Option<u64> {
     None
 }
 
+/// Returns an exact layer with random glyphs on flat ground and a random mask.
+fn exact(splats: &PackedSplats, random: &mut Random) -> Option<Arc<ExactLayer>> {
+    let (size, count) = ([splats.width, splats.height], splats.channels.count());
+    let pixels = u64::from(size[0]) * u64::from(size[1]);
+    if pixels > 1 << 14 {
+        return None;
+    }
+    let colors: Vec<u16> = (0..8).map(|_| random.next() as u16).collect();
+    let noise = 1 + random.below(40);
+    let samples: Vec<u16> = (0..pixels as usize * count)
+        .map(|_| if random.below(noise) == 0 { random.next() as u16 } else { colors[random.below(8) / 7] })
+        .collect();
+    let samples = match splats.depth {
+        Depth::Eight => Samples::U8(samples.iter().map(|&v| v as u8).collect()),
+        Depth::Sixteen => Samples::U16(samples),
+    };
+    let pixels = Pixels::new(size[0], size[1], splats.channels, samples).ok()?;
+    let (side, holes) = (5 + random.below(7) as u8, random.next() | 1);
+    let whole = random.below(2) == 0;
+    let is_covered = |x: usize, y: usize| whole || holes >> ((x / 8 * 7 + y / 8) % 64) & 1 == 1;
+    Some(Arc::new(ExactLayer::of(&pixels, side, is_covered)))
+}
+
 /// Changes some of the integers. The writer refuses those that violate a rule.
 fn change(splats: &mut PackedSplats, random: &mut Random) {
     for _ in 0..1 + random.below(3) {
         let count = splats.gaussians.len();
-        match random.below(9) {
+        match random.below(10) {
             0 => splats.layout = [Layout::Packed, Layout::Planes, Layout::Coded][random.below(3)],
             1 => splats.metadata.icc = Some(vec![random.next() as u8; random.below(40)]),
             2 if count > 0 => {
@@ -106,6 +131,7 @@ fn change(splats: &mut PackedSplats, random: &mut Random) {
             5 => splats.background[random.below(splats.channels.count())] = random.next() as i16,
             6 => splats.codebook = None,
             7 => splats.detail = Levels::layer(random.next(), [splats.width, splats.height], splats.channels),
+            8 => splats.exact = exact(splats, random),
             _ if count > 0 => {
                 let at = random.below(count);
                 let p = &mut splats.gaussians[at];

@@ -18,10 +18,10 @@ pub enum Damage {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Layers {
-    /// The Gaussians and the detail layer, if there is one: the picture.
+    /// All layers of the file: the picture.
     #[default]
     Both,
-    /// The Gaussians alone: the detail layer is not read.
+    /// The Gaussians alone: the detail layer and the exact layer are not read.
     Gaussians,
     /// The detail layer alone, on middle grey. A file without one gives plain grey.
     Detail,

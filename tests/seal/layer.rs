@@ -1,4 +1,4 @@
-//! Finds and corrects the checksums in a file with a detail layer.
+//! Finds and corrects the checksums in a file with a detail layer or an exact layer.
 
 use std::ops::Range;
 
@@ -21,6 +21,11 @@ pub struct Layout {
 /// Finds the parts. Returns `None` if the file ends before them or has no layer. A layer whose index is broken has no
 /// tiles.
 pub fn layout(bytes: &[u8]) -> Option<Layout> {
+    layout_of(bytes, b"Dtal")
+}
+
+/// Finds the parts of the layer whose section has this name.
+fn layout_of(bytes: &[u8], name: &[u8; 4]) -> Option<Layout> {
     let mut rest = bytes;
     let head = Header::read(&mut rest, &Limits::default()).ok()?;
     if head.sections != Sections::Present {
@@ -35,15 +40,23 @@ pub fn layout(bytes: &[u8]) -> Option<Layout> {
         let length = usize::try_from(varint(bytes, &mut at)?).ok()?;
         let contents = at + 4..(at + 4).checked_add(length).filter(|&end| end <= bytes.len())?;
         at = contents.end;
-        if &bytes[start..start + 4] == b"Dtal" {
+        if &bytes[start..start + 4] == name {
             layer = Some((start..at, contents));
         }
     }
     let (section, contents) = layer?;
     let length = usize::try_from(varint(bytes, &mut contents.start.clone())?).ok()?;
     let payload = at..at.checked_add(length).filter(|&end| end <= bytes.len())?;
-    let count = u64::from(head.width).div_ceil(256) * u64::from(head.height).div_ceil(256);
-    let tiles = tiles(bytes, payload.end, count).unwrap_or_default();
+    let (mut start, mut side) = (payload.end, 256);
+    if name == b"Exac" {
+        let mut at = contents.start;
+        varint(bytes, &mut at)?;
+        at += 4;
+        start = start.checked_add(usize::try_from(varint(bytes, &mut at)?).ok()?)?;
+        side = 1 << bytes.get(at).filter(|side| (5..=11).contains(*side))?;
+    }
+    let count = u64::from(head.width).div_ceil(side) * u64::from(head.height).div_ceil(side);
+    let tiles = tiles(bytes, start, count).unwrap_or_default();
     Some(Layout { header, section, contents, payload, tiles })
 }
 
@@ -68,7 +81,12 @@ fn tiles(bytes: &[u8], mut at: usize, count: u64) -> Option<Vec<(Range<usize>, R
 /// Sets the checksums of tiles, payload and section to the values that a reader computes; that of the file is not
 /// changed.
 pub fn mend(bytes: &mut [u8]) {
-    let Some(Layout { header, section, contents, payload, tiles }) = layout(bytes) else { return };
+    mend_layer(bytes, b"Dtal");
+    mend_layer(bytes, b"Exac");
+}
+
+fn mend_layer(bytes: &mut [u8], name: &[u8; 4]) {
+    let Some(Layout { header, section, contents, payload, tiles }) = layout_of(bytes, name) else { return };
     for (check, stream) in tiles {
         let right = crc32fast::hash(&bytes[stream]) as u16;
         bytes[check].copy_from_slice(&right.to_le_bytes());
