@@ -116,7 +116,13 @@ impl Renderer {
         let gaussians = (splats.gaussians.len(), |i: usize| quantizer.dequantize(&splats.gaussians[i]));
         let overlay = splats.overlay().map(Arc::new);
         let exact = splats.exact_overlay();
-        Ok(Renderer { layers, area, overlay, exact, ..Renderer::on(device, &splats.canvas(), gaussians, limits, budget)? })
+        Ok(Renderer {
+            layers,
+            area,
+            overlay,
+            exact,
+            ..Renderer::on(device, &splats.canvas(), gaussians, limits, budget)?
+        })
     }
 
     fn on(

@@ -21,7 +21,13 @@ fn picture([width, height]: [u32; 2], channels: Channels, depth: Depth, seed: u6
                 let is_alpha = channels.alpha() == Some(k as usize);
                 samples.push(match (3 * x / u64::from(width), 2 * y / u64::from(height)) {
                     (0, 0) if is_alpha => top,
-                    (0, 0) => if glyph { top * (k + 1) / 9 } else { top },
+                    (0, 0) => {
+                        if glyph {
+                            top * (k + 1) / 9
+                        } else {
+                            top
+                        }
+                    }
                     (1, 0) => (x * top / 40 + k * top / 7 + random.below(top / 60 + 1)) % top,
                     (2, 1) => random.below(top + 1),
                     (0, 1) if is_alpha => top * (x % 2) / 3,
@@ -38,7 +44,12 @@ fn picture([width, height]: [u32; 2], channels: Channels, depth: Depth, seed: u6
 }
 
 /// Returns `splats` with an exact layer over the cells for which `is_covered` returns true.
-fn covered(splats: &PackedSplats, pixels: &Pixels, side: u8, is_covered: impl Fn(usize, usize) -> bool) -> PackedSplats {
+fn covered(
+    splats: &PackedSplats,
+    pixels: &Pixels,
+    side: u8,
+    is_covered: impl Fn(usize, usize) -> bool,
+) -> PackedSplats {
     let exact = Some(Arc::new(ExactLayer::of(pixels, side, is_covered)));
     PackedSplats {
         width: pixels.width(),
@@ -175,12 +186,18 @@ pub fn all() -> Vec<Vector> {
     add("invalid", "packed", "a layer behind the packed layout", headed(&packed, |_| ()), None);
 
     let row = bytes(&tiles);
-    add("partial", "tile", "a wrong bit in the last tile", {
-        let mut bytes = row.clone();
-        let last = bytes.len() - 9;
-        bytes[last] ^= 4;
-        bytes
-    }, None);
+    add(
+        "partial",
+        "tile",
+        "a wrong bit in the last tile",
+        {
+            let mut bytes = row.clone();
+            let last = bytes.len() - 9;
+            bytes[last] ^= 4;
+            bytes
+        },
+        None,
+    );
     add("partial", "cut", "cut in the last tile", row[..row.len() - 30].to_vec(), None);
     add("partial", "cut-index", "cut in the index: the background alone", row[..index_of(&row) + 3].to_vec(), None);
     out

@@ -119,8 +119,10 @@ impl ExactLayer {
         let tile = |i: usize| {
             let [left, top, width, height] = tile_area(size, side, i);
             let starts = |length: usize| (0..length).step_by(CELL);
-            let cells: Vec<bool> =
-                starts(height).flat_map(|y| starts(width).map(move |x| (x, y))).map(|(x, y)| is_covered(left + x, top + y)).collect();
+            let cells: Vec<bool> = starts(height)
+                .flat_map(|y| starts(width).map(move |x| (x, y)))
+                .map(|(x, y)| is_covered(left + x, top + y))
+                .collect();
             let at = |y: usize, x: usize| {
                 let is_covered = cells[y / CELL * width.div_ceil(CELL) + x / CELL];
                 is_covered.then_some(((top + y) * row + left + x) * count)
