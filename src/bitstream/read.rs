@@ -174,7 +174,7 @@ impl Reading<'_> {
             return Err(FormatError::Checksum { what: "file", stored, computed }.into());
         }
         let spans = spans(detail.as_ref(), exact.as_ref())?;
-        let mut payload = payload(header, &mut bytes, spans)?;
+        let mut payload = payload(header, &mut bytes, (spans, detail.is_some()))?;
         if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
             return Err(FormatError::BadValue { field: "primitive count", value: header.primitives.into() }.into());
         }
@@ -265,7 +265,7 @@ impl Reading<'_> {
                 missing = groups::read_intact(&mut payload, header, &mut splats)?;
             }
             (Grouping::Single, _) => {
-                let mut payload = payload(header, &mut bytes, spans)?;
+                let mut payload = payload(header, &mut bytes, (spans, detail.is_some()))?;
                 if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
                     let value = header.primitives.into();
                     return Err(FormatError::BadValue { field: "primitive count", value }.into());
@@ -355,12 +355,18 @@ fn spans(detail: Option<&(DetailHead, Spans)>, exact: Option<&ExactHead>) -> Res
 }
 
 /// Returns the Gaussians' bytes: all that remain, or those before the layers, which then have a checksum of their own.
-fn payload<'a>(header: &Header, bytes: &mut Bytes<'a>, spans: Option<Spans>) -> Result<Bytes<'a>> {
+fn payload<'a>(
+    header: &Header,
+    bytes: &mut Bytes<'a>,
+    (spans, has_detail): (Option<Spans>, bool),
+) -> Result<Bytes<'a>> {
     let Some(spans) = spans else {
         return bytes.part(bytes.left() as u64, "payload");
     };
     if header.layout != Layout::Coded {
-        return Err(Broken { field: "layout of a file with layers", value: header.layout as u64 }.into());
+        let field =
+            if has_detail { "layout of a file with a detail layer" } else { "layout of a file with an exact layer" };
+        return Err(Broken { field, value: header.layout as u64 }.into());
     }
     let payload = bytes.part(spans.payload, "payload")?;
     let (stored, computed) = (spans.checksum, base_checksum(header.bytes(), payload.clone().rest()));
