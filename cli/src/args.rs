@@ -482,9 +482,9 @@ Examples:
 If only one picture has colour or alpha, grey counts as equal red, green and blue, and
 missing alpha as opaque; if the depths differ, both are compared with 16 bits. JSON keys:
 psnr in dB (at most 99), ssim and ms_ssim (null if a side is under 11 or 161 pixels,
-which is too small for them), ssimulacra2 (100 is best; null if a side is under 8
-pixels), butteraugli (3-norm, 0 is best; null as for ssimulacra2, and above 16 million
-pixels).";
+which is too small for them), ssimulacra2 (100 is best; pictures with a side below 64
+pixels are mirrored), butteraugli (3-norm, 0 is best; null if a side is under 8 pixels,
+and above 16 million pixels).";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = COMPARE_EXAMPLES)]
