@@ -375,7 +375,9 @@ fn psnr(psnr: f64) -> String {
 
 /// Returns the result in one line.
 fn result_line(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
-    let quality = encoded.report.quality.map_or(String::new(), |q| format!(", SSIMULACRA2 {q:.1}"));
+    // The library mirrors small pictures before it measures them.
+    let how = if picture.width().min(picture.height()) < 64 { " (mirrored to 64 pixels)" } else { "" };
+    let quality = encoded.report.quality.map_or(String::new(), |q| format!(", SSIMULACRA2 {q:.1}{how}"));
     let line = format!(
         "{}: {} bytes, ratio {:.1}, {} primitive{}, {}{quality}, encoded in {:.2} s at effort {}\n",
         output.display(),
