@@ -122,7 +122,7 @@ impl Literals {
     /// the residual of the last of these.
     fn predict(&self, step: usize, near: &Neighbours, color: u64, residual: u32) -> Predictions {
         let channel = self.order[step];
-        let is_chroma = self.order.len() >= 3 && channel % 2 == 0;
+        let is_chroma = self.order.len() >= 3 && channel.is_multiple_of(2);
         // Red and blue are predicted by their differences to green.
         let part = |v: u64| if is_chroma { sample(v, channel) - sample(v, 1) } else { sample(v, channel) };
         let [w, n, nw, ne, ww, nn] = near.all().map(part);
