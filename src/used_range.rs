@@ -56,6 +56,7 @@ impl UsedRange {
     }
 
     /// Returns `pixels` with the colours of this range stretched to the whole range. Colours outside it are clamped.
+    #[cfg(any(test, feature = "quality-hook"))]
     pub(crate) fn stretched(self, pixels: &Pixels) -> Pixels {
         let Samples::U16(samples) = pixels.samples() else { return pixels.clone() };
         let (count, alpha) = (pixels.channels().count(), pixels.channels().alpha());

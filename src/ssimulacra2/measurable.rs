@@ -38,7 +38,7 @@ fn mirrored(pixels: &Pixels) -> Pixels {
 
 fn reflected<T: Copy>(samples: &[T], count: usize, from: [u32; 2], to: [u32; 2]) -> Vec<T> {
     // Every other copy is reversed.
-    let inside = |i: u32, side: u32| if i / side % 2 == 0 { i % side } else { side - 1 - i % side };
+    let inside = |i: u32, side: u32| if (i / side).is_multiple_of(2) { i % side } else { side - 1 - i % side };
     let pixel = |x: u32, y: u32| {
         let at = (inside(y, from[1]) as usize * from[0] as usize + inside(x, from[0]) as usize) * count;
         &samples[at..at + count]

@@ -70,7 +70,7 @@ fn alone(size: [u32; 2], channels: Channels, depth: Depth, seed: u64) -> PackedS
 fn chequered(channels: Channels) -> PackedSplats {
     let splats = small(Layout::Coded, channels, 30, false, 90);
     let splats = PackedSplats { width: 70, height: 40, depth: Depth::Eight, ..splats };
-    let is_covered = |x: usize, y: usize| (x + y) / 8 % 2 == 0 && x < 64;
+    let is_covered = |x: usize, y: usize| ((x + y) / 8).is_multiple_of(2) && x < 64;
     covered(&splats, &picture([70, 40], channels, Depth::Eight, 91), 5, is_covered)
 }
 

@@ -71,12 +71,14 @@ impl ExactLayer {
 
     /// Returns the side of the tiles, pixels.
     #[must_use]
+    #[cfg(any(test, feature = "unstable"))]
     pub fn tile_side(&self) -> u32 {
         1 << self.side
     }
 
     /// Returns the number of pixels that the layer covers, of a picture of this size.
     #[must_use]
+    #[cfg(any(test, feature = "unstable"))]
     pub fn covered(&self, size: [u32; 2]) -> u64 {
         let pixels = |(i, tile): (usize, &Option<ExactTile>)| {
             let [_, _, width, height] = tile_area(size, self.side, i);
