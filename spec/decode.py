@@ -1568,6 +1568,7 @@ class ExactTile:
         color = self.predicted(contexts, near, excluded)
         if color is None:
             color = self.literal(near)
+            demand(color not in excluded, "literal colour that was excluded")
         self.rows[y].append(color)
         for table, (place, check) in zip(self.entries, contexts):
             entry = table.get(place)

@@ -81,6 +81,26 @@ pub(super) struct Contexts {
     checks: [u16; ORDERS],
 }
 
+/// The colours that a pixel does not have.
+#[derive(Debug)]
+pub(super) struct Excluded {
+    colors: [u64; 10],
+    count: usize,
+}
+
+impl Excluded {
+    #[inline(always)]
+    pub(super) fn contains(&self, color: u64) -> bool {
+        self.colors[..self.count].contains(&color)
+    }
+
+    #[inline(always)]
+    fn add(&mut self, color: u64) {
+        self.colors[self.count] = color;
+        self.count += 1;
+    }
+}
+
 impl Colors {
     /// Returns new models for tiles whose rows are `stride` pixels apart, with `2^address` entries a length.
     pub(super) fn new(stride: usize, address: u32) -> Self {
@@ -119,7 +139,8 @@ impl Colors {
         contexts
     }
 
-    /// Codes whether the colour of a pixel is a predicted one, other than `excluded`. Returns that colour.
+    /// Codes whether the colour of a pixel is a predicted one, other than `excluded`. Returns that colour, or the colours
+    /// that it does not have.
     #[inline(always)]
     pub(super) fn code<D: Decisions + Coder>(
         &mut self,
@@ -128,19 +149,17 @@ impl Colors {
         (contexts, near): (&Contexts, &Neighbours),
         excluded: Option<u64>,
         given: u64,
-    ) -> Option<u64> {
+    ) -> Result<u64, Excluded> {
         let found: [Option<u64>; ORDERS] = std::array::from_fn(|order| {
             let entry = self.entries[order][contexts.places[order]];
             (entry.check == contexts.checks[order]).then(|| pixels[entry.at as usize])
         });
-        let (mut tried, mut count) = ([0; 10], 0);
-        if let Some(color) = excluded {
-            (tried[0], count) = (color, 1);
-        }
+        let mut tried = Excluded { colors: [0; 10], count: 0 };
+        excluded.into_iter().for_each(|color| tried.add(color));
         let mut misses = 0;
         for order in 0..ORDERS {
             let Some(color) = found[order] else { continue };
-            if tried[..count].contains(&color) {
+            if tried.contains(color) {
                 continue;
             }
             let shorter = match found.get(order + 1).copied().flatten() {
@@ -152,21 +171,22 @@ impl Colors {
             let confidence = usize::from(self.entries[order][contexts.places[order]].confidence);
             let model = (((order * 4 + misses.min(3)) * 4 + equal) * 64 + confidence) * 3 + shorter;
             if Decisions::bit(decisions, &mut self.follows[model], color == given) {
-                return Some(color);
+                return Ok(color);
             }
-            (tried[count], count, misses) = (color, count + 1, misses + 1);
+            tried.add(color);
+            misses += 1;
         }
         let pattern = near.pattern() + 64 * misses.min(3);
         for (k, color) in [near.w, near.n, near.nw, near.ne].into_iter().enumerate() {
-            if tried[..count].contains(&color) {
+            if tried.contains(color) {
                 continue;
             }
             if Decisions::bit(decisions, &mut self.equals[256 * k + pattern], color == given) {
-                return Some(color);
+                return Ok(color);
             }
-            (tried[count], count) = (color, count + 1);
+            tried.add(color);
         }
-        None
+        Err(tried)
     }
 
     /// Enters the colour of the pixel at `at`, which `pixels` already contains.

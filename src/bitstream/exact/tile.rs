@@ -175,10 +175,15 @@ impl State {
             let contexts = self.colors.contexts(&self.keys, at);
             let predicted = self.colors.code(decisions, &self.pixels, (&contexts, &near), excluded.take(), given);
             let color = match predicted {
-                Some(color) => color,
-                None => {
+                Ok(color) => color,
+                Err(excluded) => {
                     self.work += self.literal_work;
-                    decisions.apart(|coder| self.literals.code(coder, &near, given))
+                    let color = decisions.apart(|coder| self.literals.code(coder, &near, given));
+                    // Otherwise, a picture would have several streams.
+                    if excluded.contains(color) {
+                        return Err(Broken { field: "literal colour that was excluded", value: color });
+                    }
+                    color
                 }
             };
             self.work += PIXEL_WORK;
