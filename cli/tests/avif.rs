@@ -15,7 +15,7 @@ use image::metadata::Orientation;
 use ssplat::{Channels, Depth};
 use ssplat_cli::failure::{Failure, Kind};
 use ssplat_cli::input::Input;
-use ssplat_cli::source::{self, Source, Turn};
+use ssplat_cli::source::{self, Reading, Source, Turn};
 
 fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/avif").join(name)
@@ -26,7 +26,7 @@ fn open(name: &str, turn: Turn) -> Source {
 }
 
 fn read(bytes: Vec<u8>) -> Result<Source, Failure> {
-    source::read(Path::new("a.avif"), Input::Memory(Cursor::new(bytes)), Turn::Keep)
+    source::read(Path::new("a.avif"), Input::Memory(Cursor::new(bytes)), &Reading::turned(Turn::Keep))
 }
 
 /// The picture that the files were made of: red, green, blue and alpha at a place.

@@ -19,7 +19,7 @@ use folder::Folder;
 use ssplat::{Channels, Pixels, Samples};
 use ssplat_cli::failure::{Failure, Kind};
 use ssplat_cli::input::Input;
-use ssplat_cli::source::{self, Source, Turn};
+use ssplat_cli::source::{self, Reading, Source, Turn};
 
 fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/jxl").join(name)
@@ -30,7 +30,7 @@ fn open(name: &str) -> Source {
 }
 
 fn read(bytes: Vec<u8>) -> Result<Source, Failure> {
-    source::read(Path::new("a.jxl"), Input::Memory(Cursor::new(bytes)), Turn::Keep)
+    source::read(Path::new("a.jxl"), Input::Memory(Cursor::new(bytes)), &Reading::turned(Turn::Keep))
 }
 
 fn ssplat(args: &[&str]) -> Output {
