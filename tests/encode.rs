@@ -7,8 +7,7 @@ use std::time::Duration;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Recipe, bitstream, metrics};
 use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode, encode_with_progress};
-use ssplat::{Blend, Channels, Depth, Detail, Encoded, Error, Limits, Pixels, Samples, Target, Tune};
-use ssplat::{Renderer, View};
+use ssplat::{Blend, Channels, Decoder, Depth, Detail, Encoded, Error, Limits, Pixels, Samples, Target, Tune};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
 
@@ -53,9 +52,7 @@ fn run(pixels: &Pixels, target: Target) -> Encoded {
 }
 
 fn decoded(encoded: &Encoded) -> Pixels {
-    let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
-    let picture = splats.to_gaussians();
-    Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
+    Decoder::new().decode(&encoded.bytes).unwrap().pixels
 }
 
 /// Asserts that the file has at most `most` bytes, and is at most 2 % or 40 bytes smaller.
