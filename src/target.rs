@@ -1,9 +1,6 @@
 //! Target of an encode.
 
 /// Target of an encode: the size, the number of primitives, or the quality of the file.
-///
-/// Pictures whose pixels are often equal to their neighbours, such as screens and drawings, are stored without loss if
-/// that fits into the requested size, or if it takes no more bytes than the requested quality.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 #[doc(alias("quality", "rate_control"))]

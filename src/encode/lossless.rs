@@ -4,9 +4,7 @@
 use std::sync::Arc;
 
 use super::drawn::check_opens;
-use super::rate_control::size_asked;
 use super::report::ReportBuilder;
-use super::skipped::SkipReason;
 use super::{EncodeReport, Encoded, thumbnail};
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::ExactTile;
@@ -15,13 +13,11 @@ use crate::bitstream::{exact, to_bytes};
 use crate::encode::input;
 use crate::error::{Error, Result};
 use crate::gaussian::Blend;
-use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Recipe, Trace};
+use crate::options::{EncodeOptions, HiddenColors};
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Pixels, Samples};
 use crate::rect::Rect;
-use crate::round::size::Size;
-use crate::target::Target;
 
 /// Logarithms of the tiles' sides: for pictures in which neighbouring pixels are often equal, which gain from
 /// repetitions far away, and for all others, which gain from parallel decoding.
@@ -82,71 +78,16 @@ pub(super) fn encode(
         bytes = to_bytes(&splats)?;
     }
     check_opens(&splats)?;
-    if options.target != Target::Lossless {
-        report.note(SkipReason::Loss, 0, 0.0);
-    }
-    let quality = match options.target {
-        #[cfg(feature = "quality-hook")]
-        Target::Quality(_) => Some(100.0),
-        _ => None,
-    };
     let report = EncodeReport {
         effort: options.effort,
         psnr: f64::INFINITY,
         float_psnr: f64::INFINITY,
-        quality,
         seconds: report.seconds(),
         stages: report.stages,
         skipped: report.skipped,
         ..EncodeReport::default()
     };
     Ok(Encoded { bytes, report })
-}
-
-/// Number of pairs of rows that are looked at to see whether a picture repeats itself.
-const SAMPLED_PAIRS: u32 = 24;
-/// Maximum number of pixels of such a picture. Larger ones may not fit into memory.
-const MAX_TRIED_PIXELS: u64 = 1 << 25;
-/// Minimum share of pixels that equal their left or upper neighbour in a picture that may be stored without loss where
-/// that was not requested. Screens, pages and drawings have .6 to .99, and photographs less than .2.
-const MIN_EQUAL: f64 = 0.5;
-
-/// Returns whether the encoder should try to store the picture of `source` without loss, although the options request
-/// another target: its pixels are often equal to their neighbours, and the options leave the layers to the encoder.
-///
-/// # Errors
-/// Returns an error of `source`.
-pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions) -> Result<bool> {
-    let may_choose = options.layout == Layout::Coded
-        && options.detail == Detail::Auto
-        && options.needs == Needs::Measured
-        && options.recipe == Recipe::Ssplat
-        && options.blend.is_none()
-        && options.levels == 1
-        && options.trace == Trace::Off
-        && !matches!(options.target, Target::Primitives(_) | Target::Lossless);
-    let [width, height] = source.size();
-    if !may_choose || height < 2 || u64::from(width) * u64::from(height) > MAX_TRIED_PIXELS {
-        return Ok(false);
-    }
-    let pairs = SAMPLED_PAIRS.min(height / 2);
-    let (mut equal, mut pixels) = (0, 0u64);
-    for i in 0..pairs {
-        let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
-        let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
-        equal += equal_pixels(&rows);
-        pixels += 2 * u64::from(width);
-    }
-    Ok(equal as f64 >= MIN_EQUAL * pixels as f64)
-}
-
-/// Returns the maximum size of a file for these options, bytes; `None` if they request a quality.
-pub(super) fn max_bytes(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u64> {
-    let samples = f64::from(source.width()) * f64::from(source.height()) * source.channels().count() as f64;
-    match size_asked(options, samples) {
-        Size::Bytes(bytes) => Some(bytes),
-        Size::Free => None,
-    }
 }
 
 /// Returns the nearest background colour to a mean of samples.

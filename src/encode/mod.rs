@@ -144,30 +144,6 @@ fn encode_by(
     if options.target == Target::Lossless {
         return lossless::encode(source, options, ReportBuilder::new(progress, Tracer::new(options.trace)));
     }
-    // Screens, pages and drawings often need no more bytes without loss.
-    if lossless::is_worth_trying(source, options)? {
-        let exact = lossless::encode(source, options, ReportBuilder::new(progress, Tracer::new(options.trace)))?;
-        return match lossless::max_bytes(source, options) {
-            Some(max_bytes) if exact.bytes.len() as u64 <= max_bytes => Ok(exact),
-            Some(_) => encode_lossy(source, options, executor, progress),
-            // A quality: the smaller file.
-            None => match encode_lossy(source, options, executor, progress) {
-                Ok(lossy) if lossy.bytes.len() < exact.bytes.len() => Ok(lossy),
-                Err(error @ Error::Cancelled) => Err(error),
-                _ => Ok(exact),
-            },
-        };
-    }
-    encode_lossy(source, options, executor, progress)
-}
-
-/// Encodes the picture of `source` as Gaussians and a detail layer. The options are valid.
-fn encode_lossy(
-    source: &dyn PixelSource,
-    options: &EncodeOptions,
-    executor: Executor<'_>,
-    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
-) -> Result<Encoded> {
     let side = side(source, options);
     let texture = || if side.is_none() { source.as_pixels().and_then(Texture::of_pixels) } else { None };
     let effort = timed_effort::affordable(source.size(), source.channels(), options, texture, machine_speed::slowness);

@@ -38,8 +38,6 @@ pub enum SkipReason {
         /// Number of sample values between the smallest and the largest of the picture.
         levels: u32,
     },
-    /// Gaussians and a detail layer, because the picture itself, without loss, needs no more bytes.
-    Loss,
     /// The last iterations, because the error was already small enough.
     Iterations,
     /// Primitives, because the error stays small enough without them.
@@ -69,7 +67,6 @@ impl fmt::Display for SkipReason {
                      finer than those of Gaussians; decoders may differ by up to 257 values"
                 );
             }
-            SkipReason::Loss => "Gaussians and a detail layer: the picture without loss needs no more bytes",
             SkipReason::Iterations => "iterations: the error is below the rounding error, or well below the target",
             SkipReason::Primitives => {
                 "primitives: without them, the error stays below the rounding error or the target"

@@ -281,14 +281,7 @@ impl WholeSession<'_> {
         if let (Some(near), Tune::Psnr) = (near, self.input.options.favoured()) {
             coupled::couple(&mut tiles, &near.layer, self.input.channels());
         }
-        settings.max_bytes = bytes;
-        let coded = search(&tiles, &settings, near);
-        // With the smallest step, bytes that remain are best spent on levels that would not be worth them otherwise.
-        if self.range.is_some() && coded.as_ref().is_some_and(|coded| coded.layer.head.step == 1) {
-            settings.coding.lambda = 0.0;
-            return Ok(search(&tiles, &settings, None).or(coded));
-        }
-        Ok(coded)
+        Ok(search(&tiles, &SearchSettings { max_bytes: bytes, ..settings }, near))
     }
 }
 

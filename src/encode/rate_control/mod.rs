@@ -34,15 +34,6 @@ pub(super) const CODED_BITS: f64 = 34.5;
 /// Minimum number of bytes for the primitives of [`Target::Auto`], enough for about twenty.
 const MIN_AUTO_BYTES: u64 = 80;
 
-/// Returns the requested size of the file. That of [`Target::Auto`] is the smallest, for a picture without primitives
-/// and metadata of 0 bytes.
-pub(super) fn size_asked(options: &EncodeOptions, samples: f64) -> Size {
-    match picture_size(options, samples, 0) {
-        Size::Bytes(bytes) => Size::Bytes(bytes + metadata_bytes(options)),
-        Size::Free => Size::Free,
-    }
-}
-
 /// Returns the requested size of the file without its metadata. `fixed` is the size of the file without primitives and
 /// metadata, in bytes.
 pub(super) fn picture_size(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
