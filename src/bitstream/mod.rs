@@ -16,6 +16,7 @@ pub mod report;
 pub mod rules;
 pub mod sections;
 pub mod splats;
+mod tile_index;
 mod uncoded;
 mod write;
 

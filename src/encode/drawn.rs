@@ -1,6 +1,6 @@
 //! Renders encoded pictures as a decoder would.
 
-use crate::bitstream::splats::PackedSplats;
+use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::parameter::Limit;
@@ -19,10 +19,19 @@ pub(super) fn own_limits() -> Limits {
 /// # Errors
 /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if they would refuse it.
 pub(crate) fn check_opens(splats: &PackedSplats) -> Result<()> {
-    let limits = Limits::default();
-    let metadata = splats.metadata.sections().map(|(_, contents)| contents.len() as u64).sum();
-    Limits::check(Limit::Metadata, metadata, limits.metadata)?;
-    splats.renderer(&View::of_size(splats.width, splats.height), &limits).map(drop)
+    check_metadata(&splats.metadata)?;
+    check_renders(splats)
+}
+
+/// The part of [`check_opens`] that concerns the metadata.
+pub(super) fn check_metadata(metadata: &Metadata) -> Result<()> {
+    let bytes = metadata.sections().map(|(_, contents)| contents.len() as u64).sum();
+    Limits::check(Limit::Metadata, bytes, Limits::default().metadata)
+}
+
+/// The part of [`check_opens`] that concerns the picture.
+pub(super) fn check_renders(splats: &PackedSplats) -> Result<()> {
+    splats.renderer(&View::of_size(splats.width, splats.height), &Limits::default()).map(drop)
 }
 
 /// Renders the picture within `view`.

@@ -1,6 +1,6 @@
 //! From a session to the file and its report.
 
-use super::drawn::check_opens;
+use super::drawn::check_metadata;
 use super::session::{EncodeSession, Outcome, decibels};
 use super::skipped::SkipReason;
 use super::{EncodeReport, Encoded, rate_control};
@@ -19,7 +19,7 @@ pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     if outcome.pruned_bytes > 0 {
         session.report().note(SkipReason::Primitives, outcome.pruned_bytes, 0.0);
     }
-    check_opens(&session.widened(&outcome.splats))?;
+    check_metadata(&outcome.splats.metadata)?;
     note_codebook(&mut session, &outcome)?;
     let error = session.error(&outcome.splats)?;
     session.trace_end(&outcome.splats, error)?;

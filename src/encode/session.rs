@@ -185,6 +185,17 @@ pub(super) trait EncodeSession<'a> {
         Ok(self.file(self.blank())?.len() as u64)
     }
 
+    /// Returns Gaussians of one colour as the base of a detail layer, if their file takes at most `max_bytes`.
+    fn flat_base(&mut self, splats: PackedSplats, max_bytes: u64) -> Result<Outcome> {
+        let bytes = self.file(&splats)?;
+        let needed = bytes.len() as u64;
+        if needed > max_bytes {
+            return Err(self.too_small(max_bytes, needed));
+        }
+        let float_error = self.fitted_error(&splats)?;
+        Ok(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 })
+    }
+
     /// Returns the error for a file of `allowed` bytes that needs `needed` bytes even without primitives.
     fn too_small(&self, allowed: u64, needed: u64) -> crate::Error {
         too_small_with(self.options(), allowed, needed)

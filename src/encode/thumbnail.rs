@@ -106,25 +106,15 @@ pub(super) fn reserve_thumbnail<'a, S: EncodeSession<'a>>(session: &mut S, size:
 
 /// Adds the thumbnail to a file that was made for `size`, if it should have one.
 pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outcome, size: Size) -> Result<()> {
-    let max_bytes = room_in(
-        session,
-        match size {
-            Size::Bytes(max_bytes) => max_bytes,
-            Size::Free => outcome.bytes.len() as u64,
-        },
-    );
-    if max_bytes == 0 {
-        return Ok(());
+    let bytes = match size {
+        Size::Bytes(max_bytes) => max_bytes,
+        Size::Free => outcome.bytes.len() as u64,
+    };
+    if room_in(session, bytes) > 0 {
+        let (splats, options) = (session.widened(&outcome.splats), session.options().clone());
+        outcome.splats.metadata.thumbnail = for_file(&splats, bytes, &options, session.report())?;
+        outcome.bytes = session.file(&outcome.splats)?;
     }
-    let clock = session.report().seconds();
-    let (splats, options) = (session.widened(&outcome.splats), session.options().clone());
-    let report = session.report();
-    let bytes = of(&splats, max_bytes, &options, &mut |done| {
-        (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
-    })?;
-    outcome.splats.metadata.thumbnail = Some(bytes);
-    outcome.bytes = session.file(&outcome.splats)?;
-    session.report().stage("thumbnail", clock);
     Ok(())
 }
 

@@ -5,13 +5,12 @@ use super::head::DetailHead;
 use super::levels::{CELL, CELLS, CodedBlock, Level, SUPERS, TILE, TileLevels, tile_area, tile_counts};
 use super::model::{KINDS, Models};
 use super::tile::{self, Count, kinds};
-use crate::bitstream::broken::Broken;
-use crate::bitstream::bytes::{Bytes, put_varint};
-use crate::bitstream::checksum::hash;
+use crate::bitstream::bytes::Bytes;
 use crate::bitstream::coder::range::Decoder;
 use crate::bitstream::report::ONE_READER;
+use crate::bitstream::tile_index::{self, Cursor, Entry, Names, Stream, put_streams};
 use crate::budget::Reservation;
-use crate::error::{Error, FormatError, Result};
+use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
@@ -67,17 +66,7 @@ impl DetailLayer {
     }
 }
 
-/// Entry of a tile in the index.
-#[derive(Debug, Clone, Copy, Default)]
-struct Entry {
-    length: u64,
-    /// The lower half of the stream's CRC-32.
-    check: u16,
-}
-
-/// Number of streams that are read in parallel before their cost is counted.
-const BATCH: usize = 64;
-/// Maximum number of bytes that these streams take while they are read, unless a single one takes more.
+/// Maximum number of bytes that streams take while they are read in parallel, unless a single one takes more.
 const BATCH_MEMORY: u64 = 32 << 20;
 /// Work of a pixel of a tile's plane, whatever it contains: its part of the tree and of the transform.
 const PIXEL_WORK: u64 = 16;
@@ -136,17 +125,6 @@ pub(crate) fn streams(layer: &DetailLayer, size: [u32; 2], channels: Channels) -
     tiles.filter_map(write).collect()
 }
 
-/// Appends index and streams; the stream of a tile without levels is empty.
-pub(crate) fn put_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
-    for stream in streams {
-        put_varint(stream.len() as u64, out);
-        if !stream.is_empty() {
-            out.extend((hash(stream) as u16).to_le_bytes());
-        }
-    }
-    streams.iter().for_each(|stream| out.extend(stream));
-}
-
 /// Reads the layer, or those of its tiles that reach into an area, and grows `held` by the memory that they take.
 pub(crate) fn read(
     bytes: &mut Bytes<'_>,
@@ -157,7 +135,7 @@ pub(crate) fn read(
     let [across, down] = tile_counts(wanted.size);
     let count = across as u64 * down as u64;
     let (start, mut index) = (bytes.left(), held.reserve(0)?);
-    let entries = match read_index(bytes, count, &mut index) {
+    let entries = match tile_index::read(bytes, count, NAMES, &mut index) {
         Ok(entries) => entries,
         Err(Error::Format(_)) if wanted.passes_over => {
             // The positions of the streams are unknown, and nothing is allocated for them.
@@ -168,54 +146,18 @@ pub(crate) fn read(
         Err(e) => return Err(e),
     };
     let index = start - bytes.left();
-    let listed = Listed { entries: &entries, streams: bytes.clone().rest(), head: &head, wanted };
-    for entry in &entries {
-        match bytes.take(entry.length, STREAM) {
-            Ok(_) => {}
-            Err(_) if wanted.passes_over => {
-                bytes.rest();
-            }
-            Err(e) => return Err(e),
-        }
-    }
+    let streams = tile_index::take(bytes, &entries, STREAM, wanted.passes_over)?;
+    let listed = Listed { entries: &entries, streams, head: &head, wanted };
     let (tiles, missing, bits) = listed.read(held)?;
     Ok(Found { layer: Some(DetailLayer { head, tiles }), missing, of: count as u32, index, bits })
-}
-
-/// Reads the index of `count` tiles, and grows `held` by the memory of the result.
-fn read_index(bytes: &mut Bytes<'_>, count: u64, held: &mut Reservation) -> Result<Vec<Entry>> {
-    // A tile takes at least one byte of the index, so that nothing is allocated for tiles that cannot exist.
-    if count > bytes.left() as u64 {
-        return Err(Broken { field: "tiles of the detail layer", value: count }.into());
-    }
-    held.grow(size_of::<Entry>() as u64 * count)?;
-    let mut entries = Vec::with_capacity(count as usize);
-    for _ in 0..count {
-        let length = bytes.varint("length of a detail tile")?;
-        let check = if length > 0 { bytes.u16("check of a detail tile")? } else { 0 };
-        entries.push(Entry { length, check });
-    }
-    Ok(entries)
 }
 
 /// Name of a tile's stream in errors.
 const STREAM: &str = "tile of the detail layer";
 
-/// A stream to read.
-#[derive(Debug, Clone, Copy)]
-struct Stream<'a> {
-    tile: usize,
-    /// Its bytes; `None` if the file ends before the stream does.
-    bytes: Option<&'a [u8]>,
-}
-
-/// Position of the next stream.
-#[derive(Debug, Default)]
-struct Cursor {
-    tile: usize,
-    /// Offset of this stream from the first one, in bytes.
-    at: u64,
-}
+/// Names of the index in errors.
+const NAMES: Names =
+    Names { tiles: "tiles of the detail layer", length: "length of a detail tile", check: "check of a detail tile" };
 
 /// Result of reading a tile.
 struct Tile {
@@ -296,22 +238,9 @@ impl<'a> Listed<'a> {
 
     /// Returns the next streams to read in parallel, and the maximum memory that this takes.
     fn batch(&self, cursor: &mut Cursor) -> (Vec<Stream<'a>>, u64) {
-        let (mut batch, mut most) = (Vec::new(), 0);
-        while cursor.tile < self.entries.len() && batch.len() < BATCH {
-            let Cursor { tile, at } = *cursor;
-            let end = at.saturating_add(self.entries[tile].length);
-            if self.is_wanted(tile) {
-                let more = memory_of(self.likely(tile), self.samples());
-                if !batch.is_empty() && most + more > BATCH_MEMORY {
-                    break;
-                }
-                most += more;
-                let bytes = (end <= self.streams.len() as u64).then(|| &self.streams[at as usize..end as usize]);
-                batch.push(Stream { tile, bytes });
-            }
-            *cursor = Cursor { tile: tile + 1, at: end };
-        }
-        (batch, most)
+        cursor.batch(self.entries, self.streams, BATCH_MEMORY, |tile| {
+            self.is_wanted(tile).then(|| memory_of(self.likely(tile), self.samples()))
+        })
     }
 
     /// Reads a tile, unless it has more than `most` levels.
@@ -327,11 +256,7 @@ impl<'a> Listed<'a> {
         let Wanted { size, channels, counts, .. } = *self.wanted;
         let [_, _, width, height] = tile_area(size, stream.tile);
         let shape = (self.head, channels, [width, height]);
-        let bytes = stream.bytes.ok_or(FormatError::Truncated { what: STREAM, offset: 0 })?;
-        let (stored, computed) = (self.entries[stream.tile].check.into(), u32::from(hash(bytes) as u16));
-        if computed != stored {
-            return Err(FormatError::Checksum { what: STREAM, stored, computed }.into());
-        }
+        let bytes = stream.intact(STREAM)?;
         if !counts || ONE_READER {
             // With a single reader, bits are counted by the bytes.
             *bits = 8.0 * bytes.len() as f64;

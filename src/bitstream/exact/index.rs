@@ -4,12 +4,10 @@
 use super::head::ExactHead;
 use super::tile::{self, Shape};
 use super::{ExactLayer, ExactTile, tile_area, tile_counts};
-use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::Bytes;
-use crate::bitstream::checksum::hash;
-use crate::bitstream::detail::index::put_streams;
+use crate::bitstream::tile_index::{self, Cursor, Names, put_streams};
 use crate::budget::Reservation;
-use crate::error::{Error, FormatError, Result};
+use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
@@ -19,10 +17,11 @@ use crate::rect::Rect;
 
 /// Bytes that tiles take while they are read in parallel, unless a single one takes more.
 const BATCH_MEMORY: u64 = 256 << 20;
-/// Number of streams that are read in parallel.
-const BATCH: usize = 64;
 /// Name of a tile's stream in errors.
 const STREAM: &str = "tile of the exact layer";
+/// Names of the index in errors.
+const NAMES: Names =
+    Names { tiles: "tiles of the exact layer", length: "length of an exact tile", check: "check of an exact tile" };
 
 /// Part of an exact layer to read, and limits on reading it.
 #[derive(Debug)]
@@ -48,16 +47,6 @@ pub(crate) struct Found {
     pub of: u32,
     /// Bytes of the index.
     pub index: usize,
-}
-
-/// A tile in the index.
-#[derive(Debug, Clone, Copy)]
-struct Entry {
-    length: u64,
-    /// Offset of the stream from the first one, in bytes.
-    start: u64,
-    /// The lower half of the stream's CRC-32.
-    check: u16,
 }
 
 impl Wanted<'_> {
@@ -98,7 +87,7 @@ pub(crate) fn read(
     let [across, down] = tile_counts(wanted.size, head.side);
     let count = across as u64 * down as u64;
     let (start, mut index) = (bytes.left(), held.reserve(0)?);
-    let entries = match read_index(bytes, count, &mut index) {
+    let entries = match tile_index::read(bytes, count, NAMES, &mut index) {
         Ok(entries) => entries,
         Err(Error::Format(_)) if wanted.passes_over => {
             let index = start - bytes.left();
@@ -108,79 +97,39 @@ pub(crate) fn read(
         Err(e) => return Err(e),
     };
     let index = start - bytes.left();
-    let streams = bytes.clone().rest();
-    let total = entries.last().map_or(0, |last| last.start.saturating_add(last.length));
-    match bytes.take(total, STREAM) {
-        Ok(_) => {}
-        Err(_) if wanted.passes_over => drop(bytes.rest()),
-        Err(e) => return Err(e),
-    }
+    let streams = tile_index::take(bytes, &entries, STREAM, wanted.passes_over)?;
     held.grow(count * size_of::<Option<ExactTile>>() as u64)?;
     let mut tiles: Vec<Option<ExactTile>> = Vec::new();
     tiles.resize_with(entries.len(), || None);
-    let chosen: Vec<usize> =
-        (0..entries.len()).filter(|&i| entries[i].length > 0 && wanted.reaches(head.side, i)).collect();
-    let (mut missing, mut work, mut next) = (0, 0u64, 0);
-    while next < chosen.len() {
-        let (mut batch, mut memory) = (next..next, 0);
-        while batch.end < chosen.len() && batch.len() < BATCH {
-            let shape = wanted.shape(head.side, chosen[batch.end]);
-            let samples = shape.size[0] * shape.size[1] * wanted.channels.count() * wanted.depth.bytes();
-            let more = tile::working_memory(shape.size) + samples as u64;
-            if !batch.is_empty() && memory + more > BATCH_MEMORY {
-                break;
-            }
-            (batch.end, memory) = (batch.end + 1, memory + more);
+    let (mut missing, mut work, mut cursor) = (0, 0u64, Cursor::default());
+    loop {
+        let (batch, memory) = cursor.batch(&entries, streams, BATCH_MEMORY, |tile| {
+            wanted.reaches(head.side, tile).then(|| {
+                let shape = wanted.shape(head.side, tile);
+                let samples = shape.size[0] * shape.size[1] * wanted.channels.count() * wanted.depth.bytes();
+                tile::working_memory(shape.size) + samples as u64
+            })
+        });
+        if batch.is_empty() {
+            return Ok(Found { layer: Some(ExactLayer { side: head.side, tiles }), missing, of: count as u32, index });
         }
         let mut working = held.reserve(memory)?;
         let most = wanted.limits.work.saturating_sub(work);
         let read = parallel::map(batch.len(), |k| {
-            let tile = chosen[batch.start + k];
-            stream(streams, &entries[tile]).and_then(|s| tile::read(s, &wanted.shape(head.side, tile), most))
+            tile::read(batch[k].intact(STREAM)?, &wanted.shape(head.side, batch[k].tile), most)
         });
         working.shrink(0);
-        for (k, tile) in read.into_iter().enumerate() {
+        for (stream, tile) in batch.iter().zip(read) {
             match tile {
                 Ok((tile, spent)) => {
                     work = work.saturating_add(spent);
                     held.grow(tile.memory())?;
-                    tiles[chosen[batch.start + k]] = Some(tile);
+                    tiles[stream.tile] = Some(tile);
                 }
                 Err(Error::Format(_)) if wanted.passes_over => missing += 1,
                 Err(e) => return Err(e),
             }
         }
         Limits::check(Limit::Work, work, wanted.limits.work)?;
-        next = batch.end;
     }
-    Ok(Found { layer: Some(ExactLayer { side: head.side, tiles }), missing, of: count as u32, index })
-}
-
-/// Returns the bytes of a stream if they are intact.
-fn stream<'a>(streams: &'a [u8], entry: &Entry) -> Result<&'a [u8]> {
-    let end = entry.start.saturating_add(entry.length);
-    let bytes = (end <= streams.len() as u64).then(|| &streams[entry.start as usize..end as usize]);
-    let bytes = bytes.ok_or(FormatError::Truncated { what: STREAM, offset: 0 })?;
-    let (stored, computed) = (entry.check.into(), u32::from(hash(bytes) as u16));
-    if computed != stored {
-        return Err(FormatError::Checksum { what: STREAM, stored, computed }.into());
-    }
-    Ok(bytes)
-}
-
-/// Reads the index of `count` tiles, and grows `held` by the memory of the result.
-fn read_index(bytes: &mut Bytes<'_>, count: u64, held: &mut Reservation) -> Result<Vec<Entry>> {
-    // A tile takes at least one byte of the index, so that nothing is allocated for tiles that cannot exist.
-    if count > bytes.left() as u64 {
-        return Err(Broken { field: "tiles of the exact layer", value: count }.into());
-    }
-    held.grow(size_of::<Entry>() as u64 * count)?;
-    let (mut entries, mut start) = (Vec::with_capacity(count as usize), 0u64);
-    for _ in 0..count {
-        let length = bytes.varint("length of an exact tile")?;
-        let check = if length > 0 { bytes.u16("check of an exact tile")? } else { 0 };
-        entries.push(Entry { length, start, check });
-        start = start.saturating_add(length);
-    }
-    Ok(entries)
 }

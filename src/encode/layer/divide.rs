@@ -107,13 +107,7 @@ impl WholeSession<'_> {
 
     /// Encodes to a file of at most `most` bytes whose Gaussians are one colour under a detail layer.
     fn over_flat(&mut self, most: u64) -> Result<Outcome> {
-        let splats = self.flat();
-        let (bytes, float_error) = (self.file(&splats)?, self.error_of(&splats));
-        let needed = bytes.len() as u64;
-        if needed > most {
-            return Err(self.too_small(most, needed));
-        }
-        let base = Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 };
+        let base = self.flat_base(self.flat(), most)?;
         if self.pixels() > LARGEST {
             return layered_in_parts(self, self.input.pixels, base, most);
         }

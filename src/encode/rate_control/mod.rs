@@ -6,7 +6,7 @@ mod quality;
 mod search;
 
 use super::constant;
-use super::drawn::check_opens;
+use super::drawn::check_renders;
 use super::input::too_small_with;
 use super::session::{EncodeSession, Outcome};
 use super::skipped::SkipReason;
@@ -101,7 +101,7 @@ fn picture<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
             let (mut remaining, room) = thumbnail::reserve_thumbnail(session, size);
             loop {
                 let outcome = session.at_size(remaining, None).map_err(|e| thumbnail::counted(e, size, room))?;
-                match (check_opens(&session.widened(&outcome.splats)), remaining) {
+                match (check_renders(&session.widened(&outcome.splats)), remaining) {
                     // Gaussians that cover much of a very large picture can take too much work to render. Fewer of them
                     // fit into fewer bytes.
                     (Err(Error::LimitExceeded { .. }), Size::Bytes(bytes)) if bytes > 2 * session.fixed()? => {
@@ -117,6 +117,9 @@ fn picture<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
         #[cfg(feature = "quality-hook")]
         Target::Quality(quality) => quality::to_quality(session, quality)?,
     };
+    if size == Size::Free {
+        check_renders(&session.widened(&outcome.splats))?;
+    }
     thumbnail::add(session, &mut outcome, size)?;
     Ok(outcome)
 }

@@ -7,15 +7,15 @@ use crate::fit::model::objective::planes::Planes;
 use crate::pixel_source::PixelSource;
 use crate::rect::Rect;
 
-/// Returns the mean colour of the picture of `source`, which `tiles` cover.
+/// Returns the mean colour of the picture of `source`, which `tiles` cover. Calls `on_progress` for each of them.
 pub(super) fn mean(
     source: &dyn PixelSource,
     tiles: &[Window],
-    on_progress: &mut dyn FnMut(f32) -> Result<()>,
+    mut on_progress: impl FnMut() -> Result<()>,
 ) -> Result<[f32; 4]> {
     let (mut sum, mut area) = ([0.0f64; 4], 0.0);
-    for (i, tile) in tiles.iter().enumerate() {
-        on_progress(i as f32 / tiles.len() as f32)?;
+    for tile in tiles {
+        on_progress()?;
         let mean = Planes::new(&source.part(tile.core.bounds())?).mean;
         sum = std::array::from_fn(|k| sum[k] + f64::from(mean[k]) * tile.core.pixels());
         area += tile.core.pixels();

@@ -116,14 +116,17 @@ pub(super) fn encode(
     } else {
         None
     };
-    if let Some(range) = range {
-        report.note(SkipReason::Contrasts { levels: range.levels() }, 0, 0.0);
-    }
+    let flat_color = match range {
+        Some(range) => {
+            report.note(SkipReason::Contrasts { levels: range.levels() }, 0, 0.0);
+            Some(constant::mean(&narrowed, &windows, || report.stage_progress("survey", 0.0))?)
+        }
+        None => None,
+    };
     report.stage("survey", start);
     let blank = input::empty(source.size(), (narrowed.channels(), source.depth()), blend, options);
     let kept = None;
     let fitted_source = &narrowed;
-    let is_narrow = range.is_some();
     run(TiledSession {
         options,
         source,
@@ -132,7 +135,7 @@ pub(super) fn encode(
         side,
         blank,
         windows,
-        is_narrow,
+        flat_color,
         executor,
         clock,
         report,
@@ -197,8 +200,8 @@ struct TiledSession<'a, 'b, 'c> {
     blank: PackedSplats,
     /// The tiles. The picture is also measured tile by tile.
     windows: Vec<Window>,
-    /// Whether the range of the samples is so narrow that the picture is one colour with a detail layer.
-    is_narrow: bool,
+    /// The mean colour, if the range of the samples is so narrow that the picture is this colour with a detail layer.
+    flat_color: Option<[f32; 4]>,
     executor: Executor<'c>,
     clock: Clock,
     report: ReportBuilder<'a>,
@@ -243,17 +246,10 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
 
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
         let Size::Bytes(max_bytes) = size else { return self.gaussians(0, [size; 2], share) };
-        if self.is_narrow {
-            let on_progress = &mut |_| Ok(());
-            let color = constant::mean(self.fitted_source, &self.windows, on_progress)?;
+        if let Some(color) = self.flat_color {
             let mut splats = self.blank.clone();
             constant(&mut splats, color);
-            let bytes = self.file(&splats)?;
-            let (needed, float_error) = (bytes.len() as u64, self.fitted_error(&splats)?);
-            if needed > max_bytes {
-                return Err(self.too_small(max_bytes, needed));
-            }
-            let base = Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 };
+            let base = self.flat_base(splats, max_bytes)?;
             return layered_in_parts(self, self.fitted_source, base, max_bytes);
         }
         let fixed = self.fixed()?;

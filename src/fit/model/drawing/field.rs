@@ -378,7 +378,7 @@ fn resolve_row<S: Simd, const C: usize>(
                 e = simd.mul(e, factor);
             }
             error = simd.add(error, simd.mul(e, e));
-            // The factor of the derivative as well.
+            // The derivative of the weighted square has the factor twice.
             if let Some(factor) = factor {
                 e = simd.mul(e, factor);
             }
