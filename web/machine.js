@@ -89,7 +89,7 @@ export class Machine {
   info(bytes, options = {}) {
     const [[json, icc, exif, each], numbers] = this.#ask(bytes, options, "info")
     const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
-    const detail = facts.parts.reduce((sum, { name, bytes }) => /detail layer/.test(name) ? sum + bytes : sum, 0)
-    return { ...facts, detail, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
+    const [detail, exact] = [/detail layer/, /exact layer/].map(layer => facts.parts.reduce((sum, { name, bytes }) => layer.test(name) ? sum + bytes : sum, 0))
+    return { ...facts, detail, exact, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
   }
 }

@@ -32,7 +32,7 @@ export interface DecodeOptions {
   height?: number
   /** Renders the intact parts of a damaged or truncated file. */
   partial?: boolean
-  /** Whether the detail layer is rendered: with the Gaussians, not at all, or alone on grey. */
+  /** Which layers are rendered: all of them, the Gaussians alone, or the detail layer alone on grey. */
   detail?: "on" | "off" | "alone"
   /**
    * Memory of an earlier result (`image.data.buffer`), which is reused if it is large enough. This saves time for large pictures, because
@@ -111,6 +111,8 @@ export interface Info {
   blend: "sum" | "normalized"
   /** Bytes of the detail layer; 0 without one. */
   detail: number
+  /** Bytes of the exact layer; 0 without one. */
+  exact: number
   /** Primitives of each progressive level. */
   levels: number[]
   /** Bytes of each part of the file. */

@@ -81,7 +81,9 @@ impl Options {
         match (asked.next(), asked.next()) {
             (None, _) => Ok(Target::Auto),
             (Some(target), None) => target,
-            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives, quality and lossless can be given")),
+            _ => {
+                Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives, quality and lossless can be given"))
+            }
         }
     }
 

@@ -63,6 +63,7 @@ pub fn info<'py>(
     d.set_item("groups", report.groups)?;
     d.set_item("codebook", splats.codebook.as_ref().map(Vec::len))?;
     d.set_item("detail", detail(py, &splats, &report)?)?;
+    d.set_item("exact", exact(py, &splats, &report)?)?;
     d.set_item("steps", steps(py, &h.steps)?)?;
     let parts = PyDict::new(py);
     for part in &report.parts {
@@ -85,6 +86,16 @@ fn detail<'py>(py: Python<'py>, splats: &PackedSplats, report: &Report) -> PyRes
     d.set_item("levels", layer.levels())?;
     d.set_item("tiles", layer.tiles())?;
     d.set_item("of_tiles", layer.of_tiles())?;
+    Ok(Some(d))
+}
+
+/// Returns the facts about the exact layer, if there is one.
+fn exact<'py>(py: Python<'py>, splats: &PackedSplats, report: &Report) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let Some(layer) = &splats.exact else { return Ok(None) };
+    let d = PyDict::new(py);
+    d.set_item("bytes", report.exact_bytes())?;
+    d.set_item("covered_pixels", layer.covered([splats.width, splats.height]))?;
+    d.set_item("tile_side", layer.tile_side())?;
     Ok(Some(d))
 }
 

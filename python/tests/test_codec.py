@@ -124,13 +124,16 @@ def test_metadata_are_carried_and_those_of_a_picture_by_default():
 
 
 def test_info_has_the_keys_that_its_type_names():
-    from ssplat._info import DetailInfo, Info, StepsInfo
+    from ssplat._info import DetailInfo, ExactInfo, Info, StepsInfo
 
     found = ssplat.info(FILE)
     assert set(found) == set(Info.__annotations__)
     assert set(found["steps"]) == set(StepsInfo.__annotations__)
     detailed = ssplat.info(ssplat.encode(waves(64, 64), bytes=3000, effort=1, detail=0.5))["detail"]
     assert detailed is not None and set(detailed) == set(DetailInfo.__annotations__)
+    exact = ssplat.info(ssplat.encode(waves(64, 64), lossless=True))["exact"]
+    assert exact is not None and set(exact) == set(ExactInfo.__annotations__)
+    assert exact["covered_pixels"] == 64 * 64
 
 
 def test_info_names_what_was_encoded():

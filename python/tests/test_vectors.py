@@ -55,8 +55,8 @@ def test_a_vector_gives_its_picture_or_an_error(folder):
     assert size or (told["height"], told["width"]) == want.shape[:2]
     # The same Gaussians again: the conversion to floats loses only their order.
     again = ssplat.decode(ssplat.from_gaussians(**ssplat.gaussians(data)), size=size)
-    if told["detail"]:
-        # A detail layer is not part of the Gaussians.
+    if told["detail"] or told["exact"]:
+        # The layers are not part of the Gaussians.
         want = ssplat.decode(data, size=size, detail=False)
     check(again, want, most, size)
 

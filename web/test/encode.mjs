@@ -82,7 +82,9 @@ const fails = (kind, words, pixels, options) => assert.rejects(encode(pixels, op
 })
 for (const worker of [true, false]) {
   // The encode itself fits, but not with a score beside it.
-  await fails("limit", /alloc/, small, { quality: 40, effort: 1, limits: { alloc: 10 << 20 }, worker })
+  const limits = { alloc: 7 << 20 }
+  assert((await encode(small, { bytes: 400, effort: 1, limits, worker })).bytes.length <= 400)
+  await fails("limit", /alloc/, small, { quality: 40, effort: 1, limits, worker })
   await fails("size", /cannot hold the picture/, small, { bytes: 5, worker })
   await fails("limit", /alloc/, generated(800, 800, 4, 8), { effort: 1, limits: { alloc: 8 << 20 }, worker })
 }

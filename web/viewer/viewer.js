@@ -36,8 +36,10 @@ const chosen = name => document.querySelector(`input[name=${name}]:checked`).val
 function choose(name, value) {
   document.querySelector(`input[name=${name}][value=${value}]`).checked = true
 }
-// How the detail layer is rendered; "off" if there is none.
-const layer = () => info?.detail ? chosen("layers") : "off"
+// Whether the file has layers besides the Gaussians.
+const hasLayers = () => !!(info?.detail || info?.exact)
+// How the layers are rendered; "off" if there are none.
+const layer = () => hasLayers() ? chosen("layers") : "off"
 const pressed = id => get(id).ariaPressed == "true"
 
 // Shows a message in the middle of the page. `code` is shown in a monospaced font.
@@ -148,7 +150,7 @@ function offer() {
   get("compare").hidden = get("settings").hidden == false
   get("compare").ariaPressed = String(!!original)
   get("tones").hidden = !pressed("ellipses")
-  get("layers").hidden = !info?.detail
+  get("layers").hidden = !hasLayers()
   const ends = { bits: ["few bits", "many"], error: ["small error", "large"] }[chosen("colours")]
   get("legend").hidden = !ends
   ;[get("least").textContent, get("most").textContent] = ends ?? ["", ""]
@@ -212,7 +214,7 @@ function paint() {
   const context = picture.getContext("2d"), [k, x, y] = place(), { width, height } = picture
   context.clearRect(0, 0, width, height)
   const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
-  // The graphics device renders only Gaussians, not the detail layer.
+  // The graphics device renders only Gaussians.
   const byDevice = !!info && layer() == "off" && (device?.can(view) ?? false)
   stage.dataset.drawn = byDevice ? device.name : "decoder"
   if (byDevice) {
@@ -361,7 +363,7 @@ const keys = [
   [["0"], "fit the window", { 0: () => camera.fit() }],
   [["1"], "actual size", { 1: () => camera.actual() }],
   [["G"], "Gaussians as ellipses", { g: toggle }],
-  [["L"], "cycle through picture, Gaussians and detail", { l: () => info.detail && next("layers") }],
+  [["L"], "cycle through picture, Gaussians and detail", { l: () => hasLayers() && next("layers") }],
   [["C"], "colour Gaussians by colour, bits or error", { c: () => pressed("ellipses") && next("colours") }],
   [["X"], "switch between the file and its original", { x: flip }],
   [["S"], "cycle through side by side, file and original", { s: () => original && next("sides") }],

@@ -188,7 +188,7 @@ def decode(
             low-pass filtered.
         partial: decode the intact parts of a damaged file and issue a PartialWarning. Files in groups (large pictures
             and several levels) and files with a detail layer have parts that can be decoded independently.
-        detail: render the detail layer, if the file has one; False: only the Gaussians.
+        detail: render all layers of the file; False: only the Gaussians.
         bits: bits per sample; None: those of the source.
         threads: number of threads; None: as many as are useful.
         limits: limits for the file that replace the defaults: any of ``width``, ``height``, ``primitives``,
@@ -235,10 +235,10 @@ def info(data: Data, *, limits: Mapping[str, int] | None = None) -> Info:
         ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
         file, ``primitives``, ``layout``, ``blend``, ``levels`` (primitives in each), ``groups``, ``codebook`` (colours
         in it, or None), ``detail`` (None, or a dict of the detail layer's ``bytes``, ``bits`` and ``levels``, and of
-            the
-        number of ``tiles`` that have levels, out of ``of_tiles``), ``steps`` (the indices of specification §4.1),
-            ``parts`` (bytes of each part of the file),
-        ``icc_profile``, ``exif`` and ``thumbnail`` (bytes, or None; the last is a file that :func:`decode` takes).
+        the number of ``tiles`` that have levels, out of ``of_tiles``), ``exact`` (None, or a dict of the exact layer's
+        ``bytes``, ``covered_pixels`` and ``tile_side``), ``steps`` (the indices of specification §4.1), ``parts``
+        (bytes of each part of the file), ``icc_profile``, ``exif`` and ``thumbnail`` (bytes, or None; the last is a
+        file that :func:`decode` takes).
 
     Raises:
         FormatError, UnsupportedVersionError, LimitExceededError: as for :func:`decode`.

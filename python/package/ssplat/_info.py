@@ -5,7 +5,7 @@ from __future__ import annotations
 import builtins
 from typing import Literal, TypedDict
 
-__all__ = ["DetailInfo", "Info", "StepsInfo"]
+__all__ = ["DetailInfo", "ExactInfo", "Info", "StepsInfo"]
 
 
 class DetailInfo(TypedDict):
@@ -16,6 +16,14 @@ class DetailInfo(TypedDict):
     levels: int
     tiles: int
     of_tiles: int
+
+
+class ExactInfo(TypedDict):
+    """Bytes of an exact layer, the number of pixels that it stores, and the side of its tiles in pixels."""
+
+    bytes: int
+    covered_pixels: int
+    tile_side: int
 
 
 class StepsInfo(TypedDict):
@@ -45,6 +53,7 @@ class Info(TypedDict):
     groups: int
     codebook: int | None
     detail: DetailInfo | None
+    exact: ExactInfo | None
     steps: StepsInfo
     parts: dict[str, int]
     icc_profile: builtins.bytes | None
