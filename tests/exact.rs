@@ -1,7 +1,8 @@
 //! The exact layer: files without loss, whatever the size, the channels and the depth of the picture.
 #![cfg(feature = "unstable")]
 
-use ssplat::{Channels, Damage, Decoder, Encoder, HiddenColors, Limits, Pixels, Reader, Rect, Samples};
+use ssplat::report::SkipReason;
+use ssplat::{Channels, Damage, Decoder, Detail, Encoder, HiddenColors, Limits, Pixels, Reader, Rect, Samples};
 
 const CHANNELS: [Channels; 4] = [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba];
 
@@ -188,4 +189,91 @@ fn limits_hold_before_memory_is_allocated() {
     let mut limits = Limits::default();
     limits.work = 1 << 20;
     assert!(matches!(Decoder::new().limits(limits).decode(&file), Err(ssplat::Error::LimitExceeded { .. })));
+}
+
+/// Returns a page: lines of letters in many shades on white, and a photograph below it where `has_photograph`.
+fn page([width, height]: [u32; 2], has_photograph: bool) -> Pixels {
+    let photograph = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/kodim15.png")).unwrap().into_rgb8();
+    let mut state = 1;
+    let shades: Vec<u8> = (0..4096).map(|_| (random(&mut state) % 120) as u8).collect();
+    let mut samples = Vec::new();
+    for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+        if has_photograph && y >= height / 2 {
+            samples.extend(photograph.get_pixel(x + 200, y).0);
+        } else {
+            let glyph = (x / 7 * 31 + y / 11 * 17) % 61;
+            let is_ink = x % 7 < 5 && y % 11 < 8 && (x % 7 * 5 + y % 11 * 3 + glyph) % 4 < 2;
+            let shade = shades[(glyph * 64 + y % 11 * 8 + x % 7 + x / 31 * 7) as usize % 4096];
+            samples.extend(if is_ink { [shade, shade, shade / 2 + 20] } else { [255; 3] });
+        }
+    }
+    Pixels::new(width, height, Channels::Rgb, Samples::U8(samples)).unwrap()
+}
+
+fn bytes_of(pixels: &Pixels) -> &[u8] {
+    let Samples::U8(samples) = pixels.samples() else { panic!("8 bits") };
+    samples
+}
+
+#[test]
+fn a_page_that_fits_is_stored_without_loss_whatever_is_requested() {
+    let pixels = page([200, 120], false);
+    let size = exact(&pixels).len() as u64;
+    let encode = |encoder: Encoder| encoder.effort(1).encode(&pixels).unwrap();
+    for encoder in [Encoder::new().bytes(size), Encoder::new().ratio(200.0 * 120.0 * 3.0 / (size as f64 + 0.5))] {
+        let encoded = encode(encoder);
+        assert!(encoded.bytes == exact(&pixels) && encoded.report.psnr.is_infinite());
+        assert!(encoded.report.skipped.iter().any(|l| l.what == SkipReason::Loss));
+    }
+    // A byte less is not enough.
+    let less = encode(Encoder::new().bytes(size - 1));
+    assert!(less.bytes.len() < size as usize && less.report.psnr.is_finite());
+    // Without the layer, as requested.
+    assert!(encode(Encoder::new().bytes(size).detail(Detail::Off)).report.primitives > 0);
+}
+
+#[test]
+fn colours_of_a_page_that_does_not_fit_are_near_and_its_ground_is_exact() {
+    let pixels = page([240, 200], false);
+    let size = exact(&pixels).len() as u64;
+    for share in [0.8, 0.6] {
+        let most = (share * size as f64) as u64;
+        let encoded = Encoder::new().bytes(most).effort(1).encode(&pixels).unwrap();
+        assert!(encoded.bytes.len() as u64 <= most && encoded.report.primitives == 0);
+        assert!(encoded.report.skipped.iter().any(|l| l.what == SkipReason::NearColors));
+        let decoded = Decoder::new().decode(&encoded.bytes).unwrap().pixels;
+        for (own, other) in bytes_of(&pixels).iter().zip(bytes_of(&decoded)) {
+            // 48 is the largest tolerance.
+            assert!(own.abs_diff(*other) <= 48 && (*own == 255) == (*other == 255), "{own} {other}");
+        }
+        assert!(encoded.report.psnr > 30.0, "{}", encoded.report.psnr);
+    }
+}
+
+#[test]
+fn a_photograph_in_a_page_is_left_to_gaussians_and_the_detail_layer() {
+    let pixels = page([320, 400], true);
+    let encoded = Encoder::new().ratio(40.0).effort(2).encode(&pixels).unwrap();
+    assert!(encoded.bytes.len() <= 320 * 400 * 3 / 40 && encoded.report.primitives > 0);
+    let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+    let covered = splats.exact.as_ref().expect("an exact layer").covered([320, 400]);
+    // Half of the page, give or take a row of cells.
+    assert!((320 * 184..=320 * 216).contains(&covered), "{covered} pixels");
+    let decoded = Decoder::new().decode(&encoded.bytes).unwrap().pixels;
+    let letters = 320 * 176 * 3;
+    let near = |(own, other): (&u8, &u8)| own.abs_diff(*other) <= 48;
+    assert!(bytes_of(&pixels)[..letters].iter().zip(bytes_of(&decoded)).all(near));
+    // The same bytes without the layer.
+    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(2).detail(Detail::Share(0.4));
+    let without = without.encode(&pixels).unwrap().report.psnr;
+    assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
+}
+
+#[test]
+fn a_psnr_that_near_colours_reach_takes_fewer_bytes_than_no_loss() {
+    let pixels = page([240, 200], false);
+    let encoded = Encoder::new().psnr(40.0).effort(1).encode(&pixels).unwrap();
+    assert!(encoded.report.psnr >= 40.0 && encoded.bytes.len() < exact(&pixels).len());
+    let all = Encoder::new().psnr(99.0).effort(1).encode(&pixels).unwrap();
+    assert!(all.bytes.len() <= exact(&pixels).len());
 }

@@ -245,7 +245,7 @@ fn fill_all(level: &mut Level) {
 }
 
 /// Returns whether `pixels` has pixels of alpha 0.
-fn hides_colors(pixels: &Pixels) -> bool {
+pub(super) fn hides_colors(pixels: &Pixels) -> bool {
     let Some(alpha) = pixels.channels().alpha() else { return false };
     let count = pixels.channels().count();
     match pixels.samples() {

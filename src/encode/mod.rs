@@ -9,12 +9,12 @@ mod constant;
 mod device;
 pub(crate) mod drawn;
 mod encoder;
+mod exact;
 mod file;
 mod hidden;
 mod input;
 mod job;
 mod layer;
-mod lossless;
 mod machine_speed;
 mod pipeline;
 mod prune;
@@ -142,8 +142,21 @@ fn encode_by(
         });
     }
     if options.target == Target::Lossless {
-        return lossless::encode(source, options, ReportBuilder::new(progress, Tracer::new(options.trace)));
+        return exact::lossless(source, options, progress);
     }
+    if exact::is_worth_trying(source, options)? {
+        return exact::encode(source, options, executor, progress);
+    }
+    encode_lossy(source, options, executor, progress)
+}
+
+/// Encodes the picture of `source` with Gaussians and a detail layer. The options are valid.
+fn encode_lossy(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
     let side = side(source, options);
     let texture = || if side.is_none() { source.as_pixels().and_then(Texture::of_pixels) } else { None };
     let effort = timed_effort::affordable(source.size(), source.channels(), options, texture, machine_speed::slowness);

@@ -38,6 +38,11 @@ pub enum SkipReason {
         /// Number of sample values between the smallest and the largest of the picture.
         levels: u32,
     },
+    /// Gaussians and a detail layer, because the picture itself, without loss, needs no more bytes.
+    Loss,
+    /// Gaussians and a detail layer in a part of the picture or all of it, because an exact layer with colours near those
+    /// of the picture is better.
+    NearColors,
     /// The last iterations, because the error was already small enough.
     Iterations,
     /// Primitives, because the error stays small enough without them.
@@ -67,6 +72,8 @@ impl fmt::Display for SkipReason {
                      finer than those of Gaussians; decoders may differ by up to 257 values"
                 );
             }
+            SkipReason::Loss => "Gaussians and a detail layer: the picture without loss needs no more bytes",
+            SkipReason::NearColors => "Gaussians and a detail layer: colours near those of the picture are better",
             SkipReason::Iterations => "iterations: the error is below the rounding error, or well below the target",
             SkipReason::Primitives => {
                 "primitives: without them, the error stays below the rounding error or the target"

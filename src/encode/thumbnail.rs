@@ -42,6 +42,12 @@ fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     }
 }
 
+/// Returns the bytes that the thumbnail of a picture of `size` pixels takes in a file of `bytes` bytes.
+pub(super) fn reserved(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
+    let room = room(options, size, bytes);
+    if room > 0 { room + HEADER_BYTES } else { 0 }
+}
+
 /// Returns the part of `size` that remains for the picture next to a thumbnail of `room` bytes.
 fn without_thumbnail(size: Size, room: u64) -> Size {
     match size {

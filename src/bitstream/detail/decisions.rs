@@ -191,8 +191,14 @@ fn prices() -> &'static [f32; PRICES] {
 #[cfg(feature = "encode")]
 #[inline(always)]
 pub(crate) fn price(model: &Adaptive, bit: bool) -> f32 {
-    let p = if bit { model.one() } else { 65_536 - model.one() };
-    prices()[(p >> 4) as usize & (PRICES - 1)]
+    price_of(if bit { model.one() } else { 65_536 - model.one() })
+}
+
+/// Returns the bits of a decision with this probability, in 1/65536.
+#[cfg(feature = "encode")]
+#[inline(always)]
+pub(crate) fn price_of(probability: u32) -> f32 {
+    prices()[(probability >> 4) as usize & (PRICES - 1)]
 }
 
 #[cfg(feature = "encode")]

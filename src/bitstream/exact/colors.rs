@@ -2,7 +2,8 @@
 //! (spec §12.5).
 
 use super::tile::Neighbours;
-use crate::bitstream::coder::range::Coder;
+#[cfg(feature = "encode")]
+use crate::bitstream::detail::decisions::price;
 use crate::bitstream::detail::decisions::{Adaptive, Decisions};
 
 /// Neighbours of the contexts, nearest first: columns to the left, and rows up.
@@ -81,6 +82,16 @@ pub(super) struct Contexts {
     checks: [u16; ORDERS],
 }
 
+/// What the colour of a pixel is predicted from.
+pub(super) struct Around<'a> {
+    /// The pixels of the tile.
+    pub pixels: &'a [u64],
+    pub contexts: &'a Contexts,
+    pub near: &'a Neighbours,
+    /// A colour that the pixel does not have.
+    pub excluded: Option<u64>,
+}
+
 /// The colours that a pixel does not have.
 #[derive(Debug)]
 pub(super) struct Excluded {
@@ -139,17 +150,16 @@ impl Colors {
         contexts
     }
 
-    /// Codes whether the colour of a pixel is a predicted one, other than `excluded`. Returns that colour, or the colours
-    /// that it does not have.
+    /// Codes whether the colour of a pixel is a predicted one, other than the excluded one. Returns that colour, or the
+    /// colours that it does not have.
     #[inline(always)]
-    pub(super) fn code<D: Decisions + Coder>(
+    pub(super) fn code<D: Decisions>(
         &mut self,
         decisions: &mut D,
-        pixels: &[u64],
-        (contexts, near): (&Contexts, &Neighbours),
-        excluded: Option<u64>,
+        around: &Around<'_>,
         given: u64,
     ) -> Result<u64, Excluded> {
+        let Around { pixels, contexts, near, excluded } = *around;
         let found: [Option<u64>; ORDERS] = std::array::from_fn(|order| {
             let entry = self.entries[order][contexts.places[order]];
             (entry.check == contexts.checks[order]).then(|| pixels[entry.at as usize])
@@ -170,7 +180,7 @@ impl Colors {
             let equal = usize::from(color == near.w) + 2 * usize::from(color == near.n);
             let confidence = usize::from(self.entries[order][contexts.places[order]].confidence);
             let model = (((order * 4 + misses.min(3)) * 4 + equal) * 64 + confidence) * 3 + shorter;
-            if Decisions::bit(decisions, &mut self.follows[model], color == given) {
+            if decisions.bit(&mut self.follows[model], color == given) {
                 return Ok(color);
             }
             tried.add(color);
@@ -181,7 +191,7 @@ impl Colors {
             if tried.contains(color) {
                 continue;
             }
-            if Decisions::bit(decisions, &mut self.equals[256 * k + pattern], color == given) {
+            if decisions.bit(&mut self.equals[256 * k + pattern], color == given) {
                 return Ok(color);
             }
             tried.add(color);
@@ -205,5 +215,58 @@ impl Colors {
                 entry.confidence /= 2;
             }
         }
+    }
+}
+
+/// The predicted colours of a pixel, in the order in which they are tried, with their prices.
+#[cfg(feature = "encode")]
+pub(super) struct Candidates {
+    tried: Excluded,
+    prices: Prices,
+}
+
+/// Records the prices of decisions, and answers all of them with no.
+#[cfg(feature = "encode")]
+#[derive(Default)]
+struct Prices {
+    /// Bits of a yes and of a no.
+    bits: [[f32; 2]; 10],
+    count: usize,
+}
+
+#[cfg(feature = "encode")]
+impl Decisions for Prices {
+    #[inline(always)]
+    fn bit(&mut self, model: &mut Adaptive, _bit: bool) -> bool {
+        self.bits[self.count] = [true, false].map(|bit| price(model, bit));
+        self.count += 1;
+        false
+    }
+
+    fn even(&mut self, _bit: bool) -> bool {
+        false
+    }
+}
+
+#[cfg(feature = "encode")]
+impl Candidates {
+    pub(super) fn of(colors: &mut Colors, around: &Around<'_>) -> Candidates {
+        let mut prices = Prices::default();
+        match colors.code(&mut prices, around, 0) {
+            Err(tried) => Candidates { tried, prices },
+            Ok(_) => unreachable!("all decisions are answered with no"),
+        }
+    }
+
+    /// Calls `visit` with each colour and its bits. Returns the bits of none of them.
+    #[inline(always)]
+    pub(super) fn visit(&self, mut visit: impl FnMut(u64, f32)) -> f32 {
+        let colors = &self.tried.colors[self.tried.count - self.prices.count..];
+        let mut before = 0.0;
+        for (&color, [yes, no]) in colors.iter().zip(&self.prices.bits[..self.prices.count]) {
+            visit(color, before + yes);
+            before += no;
+        }
+        before
     }
 }

@@ -10,6 +10,8 @@ pub(crate) mod head;
 pub(crate) mod index;
 mod literal;
 mod mask;
+#[cfg(feature = "encode")]
+pub(crate) mod near;
 pub(crate) mod tile;
 
 use crate::gaussian::Channels;

@@ -1,7 +1,7 @@
 //! Codes one tile, row by row: runs of flat ground, predicted colours, and literal colours (spec §12.4).
 
 use super::arithmetic::key;
-use super::colors::{Colors, ENTRY_BYTES, REACH, ROWS_ABOVE};
+use super::colors::{Around, Colors, ENTRY_BYTES, REACH, ROWS_ABOVE};
 use super::literal::{LINE_BYTES, Literals};
 use super::{CELL, ExactTile, mask};
 use crate::bitstream::broken::Broken;
@@ -83,8 +83,48 @@ fn address(pixels: u64) -> u32 {
     (pixels.max(1).ilog2() + 2).clamp(10, 16)
 }
 
+/// The colours that are coded. Positions are those in the tile, row by row.
+pub(super) trait Source<D> {
+    /// Returns how many of the `most` pixels from `at` on have this colour.
+    fn run(&mut self, at: usize, most: usize, color: u64) -> usize;
+
+    /// Returns the colour of a pixel.
+    fn color(&mut self, at: usize, colors: &mut Colors, around: &Around<'_>) -> u64;
+
+    /// Is called after `count` pixels from `at` on are coded.
+    fn coded(&mut self, _at: usize, _count: usize, _is_literal: bool, _decisions: &D) {}
+}
+
+/// The source of a reader, which decodes the colours.
+struct Unknown;
+
+impl<D> Source<D> for Unknown {
+    #[inline(always)]
+    fn run(&mut self, _at: usize, _most: usize, _color: u64) -> usize {
+        0
+    }
+
+    #[inline(always)]
+    fn color(&mut self, _at: usize, _colors: &mut Colors, _around: &Around<'_>) -> u64 {
+        0
+    }
+}
+
+/// The colours of a tile's pixels.
+struct Known<'a>(&'a [u64]);
+
+impl<D> Source<D> for Known<'_> {
+    fn run(&mut self, at: usize, most: usize, color: u64) -> usize {
+        self.0[at..].iter().take(most).take_while(|&&other| other == color).count()
+    }
+
+    fn color(&mut self, at: usize, _colors: &mut Colors, _around: &Around<'_>) -> u64 {
+        self.0[at]
+    }
+}
+
 /// The tile being coded: its pixels with margins on all sides, and the models.
-struct State {
+pub(super) struct State {
     width: usize,
     stride: usize,
     pixels: Vec<u64>,
@@ -104,7 +144,7 @@ struct State {
 }
 
 impl State {
-    fn new(shape: &Shape) -> Self {
+    pub(super) fn new(shape: &Shape) -> Self {
         let [width, height] = shape.size;
         let stride = width + 2 * MARGIN;
         let white = (0..shape.channels.count()).fold(0, |v, k| v | u64::from(top(shape.depth)) << (16 * k));
@@ -145,25 +185,25 @@ impl State {
         Neighbours { w: row[1], n: above[1], nw: above[0], ne: above[2], ww: row[0], nn }
     }
 
-    /// Codes the covered pixels from column `x` to column `end` of row `y`. A writer's `given` are the pixels of the
-    /// tile; a reader's are empty.
+    /// Codes the covered pixels from column `x` to column `end` of row `y`.
     fn span<D: Decisions + Coder>(
         &mut self,
         decisions: &mut D,
         [x, y]: [usize; 2],
         end: usize,
-        given: &[u64],
+        source: &mut impl Source<D>,
     ) -> std::result::Result<(), Broken> {
         let (row, mut x) = (self.row(y), x);
         let mut excluded = None;
         while x < end {
             let at = row + x;
             let near = self.near(at);
-            let given = given.get(y * self.width + x..y * self.width + end).unwrap_or_default();
+            let place = y * self.width + x;
             if excluded.is_none() && near.are_equal() && self.pixels[at - self.stride + 2] == near.w {
                 let above = &self.pixels[at - self.stride + 1..][..end - x];
                 let most = above.iter().position(|&color| color != near.w).unwrap_or(above.len());
-                let length = self.run(decisions, most, given, near.w)?;
+                let length = self.run(decisions, most, source.run(place, most, near.w))?;
+                source.coded(place, length, false, decisions);
                 if length < most {
                     excluded = Some(near.w);
                 }
@@ -171,9 +211,11 @@ impl State {
                 x += length;
                 continue;
             }
-            let given = given.first().copied().unwrap_or_default();
             let contexts = self.colors.contexts(&self.keys, at);
-            let predicted = self.colors.code(decisions, &self.pixels, (&contexts, &near), excluded.take(), given);
+            let around = Around { pixels: &self.pixels, contexts: &contexts, near: &near, excluded: excluded.take() };
+            let given = source.color(place, &mut self.colors, &around);
+            let predicted = self.colors.code(decisions, &around, given);
+            let is_literal = predicted.is_err();
             let color = match predicted {
                 Ok(color) => color,
                 Err(excluded) => {
@@ -189,6 +231,7 @@ impl State {
             self.work += PIXEL_WORK;
             (self.pixels[at], self.keys[at]) = (color, key(color));
             self.colors.learn(&self.pixels, &contexts, at);
+            source.coded(place, 1, is_literal, decisions);
             x += 1;
         }
         Ok(())
@@ -199,11 +242,9 @@ impl State {
         &mut self,
         decisions: &mut D,
         most: usize,
-        given: &[u64],
-        color: u64,
+        length: usize,
     ) -> std::result::Result<usize, Broken> {
         let class = (most.ilog2() as usize).min(LENGTHS - 1);
-        let length = given.iter().take(most).position(|&other| other != color).unwrap_or(most);
         let is_whole = decisions.bit(&mut self.whole[class][self.last_runs], length == most);
         self.last_runs = 2 * self.last_runs % 4 + usize::from(is_whole);
         if is_whole {
@@ -236,12 +277,12 @@ impl State {
     }
 
     /// Codes all pixels, with at most `most_work` work.
-    fn code<D: Decisions + Coder>(
+    pub(super) fn code<D: Decisions + Coder>(
         &mut self,
         decisions: &mut D,
         height: usize,
         cells: Option<&[bool]>,
-        given: &[u64],
+        source: &mut impl Source<D>,
         most_work: u64,
     ) -> Result<()> {
         for y in 0..height {
@@ -251,7 +292,7 @@ impl State {
             let first = self.pixels[row - self.stride];
             self.fill(row - MARGIN, MARGIN, first);
             match cells {
-                None => self.span(decisions, [0, y], self.width, given)?,
+                None => self.span(decisions, [0, y], self.width, source)?,
                 Some(cells) => {
                     let across = self.width.div_ceil(CELL);
                     let cells = &cells[y / CELL * across..][..across];
@@ -261,7 +302,7 @@ impl State {
                         let count = cells[x / CELL..].iter().take_while(|&&cell| cell == is_covered).count();
                         let end = (x / CELL * CELL + count * CELL).min(self.width);
                         if is_covered {
-                            self.span(decisions, [x, y], end, given)?;
+                            self.span(decisions, [x, y], end, source)?;
                         } else {
                             // Pixels that are not covered continue the colour to their left.
                             let color = self.pixels[row + x - 1];
@@ -288,7 +329,7 @@ fn top(depth: Depth) -> u16 {
 }
 
 /// Returns the colours of samples.
-fn colors(samples: &Samples, channels: usize) -> Vec<u64> {
+pub(super) fn colors(samples: &Samples, channels: usize) -> Vec<u64> {
     fn packed<T: Copy + Into<u64>>(samples: &[T], channels: usize) -> Vec<u64> {
         let color = |pixel: &[T]| pixel.iter().rev().fold(0, |color, &v| color << 16 | v.into());
         samples.chunks_exact(channels).map(color).collect()
@@ -305,7 +346,7 @@ pub(crate) fn read(stream: &[u8], shape: &Shape, most_work: u64) -> Result<(Exac
     let cells = mask::code(&mut decoder, shape.size, None)?;
     let mut state = State::new(shape);
     let [width, height] = shape.size;
-    state.code(&mut decoder, height, cells.as_deref(), &[], most_work)?;
+    state.code(&mut decoder, height, cells.as_deref(), &mut Unknown, most_work)?;
     decoder.finish()?;
     let count = width * height * shape.channels.count();
     let samples = match shape.depth {
@@ -330,7 +371,7 @@ pub(crate) fn write(tile: &ExactTile, shape: &Shape) -> Vec<u8> {
     let cells = tile.cells.as_deref();
     let mut code = || {
         mask::code(&mut encoder, shape.size, cells)?;
-        State::new(shape).code(&mut encoder, shape.size[1], cells, &given, u64::MAX)
+        State::new(shape).code(&mut encoder, shape.size[1], cells, &mut Known(&given), u64::MAX)
     };
     code().expect("a valid tile");
     encoder.finish()

@@ -1,0 +1,77 @@
+//! Encodes what an exact layer does not cover, with Gaussians and a detail layer.
+
+use super::mask::Mask;
+use super::{Candidate, read};
+use crate::bitstream::splats::PackedSplats;
+use crate::bitstream::to_bytes;
+use crate::encode::channels::widen;
+use crate::encode::hidden::inpainted;
+use crate::encode::report::ReportBuilder;
+use crate::encode::whole;
+use crate::error::{Error, Result};
+use crate::gaussian::Channels;
+use crate::options::{Detail, EncodeOptions, HiddenColors, Thumbnail};
+use crate::pixels::{Pixels, Samples};
+use crate::target::Target;
+
+/// Share of the bytes for the Gaussians of photographs.
+const BASE_SHARE: f64 = 0.35;
+/// Minimum number of bytes of photographs with a detail layer.
+const MIN_LAYER_BYTES: u64 = 1500;
+
+/// Returns a file of at most `bytes` bytes: `exact`, and Gaussians and a detail layer where it does not cover the picture.
+/// Returns `None` if they do not fit.
+pub(super) fn file(
+    (exact, tolerance): (PackedSplats, u32),
+    mask: &Mask,
+    pixels: &Pixels,
+    bytes: u64,
+    options: &EncodeOptions,
+    report: &mut ReportBuilder<'_>,
+) -> Result<Option<Candidate>> {
+    let layer = to_bytes(&exact)?.len() - to_bytes(&PackedSplats { exact: None, ..exact.clone() })?.len();
+    let Some(room) = bytes.checked_sub(layer as u64) else { return Ok(None) };
+    let filled = continued(pixels, mask, report)?;
+    let options = EncodeOptions {
+        target: Target::Bytes(room),
+        detail: if room >= MIN_LAYER_BYTES { Detail::Share(BASE_SHARE) } else { Detail::Off },
+        thumbnail: Thumbnail::Never,
+        icc: None,
+        exif: None,
+        ..options.clone()
+    };
+    let encoded = match whole::encode(&filled, &options, 1.0, &mut |now| (report.progress)(now)) {
+        Ok(encoded) => encoded,
+        Err(Error::TooSmall { .. }) => return Ok(None),
+        Err(error) => return Err(error),
+    };
+    let splats = read(&encoded.bytes)?;
+    let splats = if splats.channels == exact.channels { splats } else { widen(&splats, exact.channels) };
+    let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;
+    Ok((file.bytes <= bytes).then_some(file))
+}
+
+/// Returns the picture with covered pixels replaced by a smooth continuation of the others.
+fn continued(pixels: &Pixels, mask: &Mask, report: &mut ReportBuilder<'_>) -> Result<Pixels> {
+    let (width, count) = (pixels.width() as usize, pixels.channels().count());
+    fn with_alpha<T: Copy>(v: &[T], count: usize, alpha: impl Fn(usize) -> T) -> Vec<T> {
+        let pixel = |(i, pixel): (usize, &[T])| pixel.iter().copied().chain([alpha(i)]).collect::<Vec<T>>();
+        v.chunks_exact(count).enumerate().flat_map(pixel).collect()
+    }
+    fn without_alpha<T: Copy>(v: &[T], count: usize) -> Vec<T> {
+        v.chunks_exact(count + 1).flat_map(|pixel| pixel[..count].iter().copied()).collect()
+    }
+    let is_hidden = |i: usize| mask.covers([i % width, i / width]);
+    let samples = match pixels.samples() {
+        Samples::U8(v) => Samples::U8(with_alpha(v, count, |i| if is_hidden(i) { 0 } else { u8::MAX })),
+        Samples::U16(v) => Samples::U16(with_alpha(v, count, |i| if is_hidden(i) { 0 } else { u16::MAX })),
+    };
+    let channels = if count == 1 { Channels::GreyAlpha } else { Channels::Rgba };
+    let shown = Pixels::new(pixels.width(), pixels.height(), channels, samples)?;
+    let filled = inpainted(&shown, HiddenColors::default(), || report.stage_progress("exact layer", 1.0))?;
+    let samples = match filled.unwrap_or(shown).into_samples() {
+        Samples::U8(v) => Samples::U8(without_alpha(&v, count)),
+        Samples::U16(v) => Samples::U16(without_alpha(&v, count)),
+    };
+    Pixels::new(pixels.width(), pixels.height(), pixels.channels(), samples)
+}

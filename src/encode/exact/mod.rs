@@ -1,0 +1,299 @@
+//! Encodes pictures with an exact layer (spec §12): without loss where that is requested or fits into the requested size,
+//! and otherwise with colours near those of the picture. Photographs within a page are left to Gaussians and the detail
+//! layer.
+//!
+//! `survey` reads the picture, `mask` finds the photographs in it, `search` finds the smallest tolerance of colours that
+//! fits, and `mixed` encodes what the exact layer does not cover.
+
+mod mask;
+mod mixed;
+mod search;
+mod survey;
+
+use std::ops::ControlFlow;
+
+use self::survey::{Survey, equal_pixels, finished, without_hidden};
+use super::channels::widen;
+use super::drawn::{drawn, own_limits};
+use super::rate_control::picture_size;
+use super::report::ReportBuilder;
+#[cfg(feature = "quality-hook")]
+use super::score::score;
+use super::skipped::SkipReason;
+use super::trace::Tracer;
+use super::workers::Executor;
+use super::{EncodeReport, Encoded, Progress, encode_lossy, thumbnail};
+use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
+use crate::bitstream::{self, to_bytes};
+use crate::error::{Error, Result};
+use crate::metrics;
+use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Recipe, Thumbnail, Trace, Tune};
+use crate::parameter::Parameter;
+use crate::pixel_source::PixelSource;
+use crate::pixels::Pixels;
+use crate::raster::View;
+use crate::rect::Rect;
+use crate::round::size::Size;
+use crate::target::Target;
+
+/// Number of pairs of rows that are looked at to see whether a picture repeats itself.
+const SAMPLED_PAIRS: u32 = 24;
+/// Maximum number of pixels of such a picture. Larger ones may not fit into memory.
+const MAX_TRIED_PIXELS: u64 = 1 << 25;
+/// Minimum share of pixels that equal their left or upper neighbour in a picture for which the layer is tried. Screens,
+/// pages and drawings have .6 to .99, and photographs less than .2.
+const MIN_EQUAL: f64 = 0.4;
+/// Largest tolerance of colours with which a file is taken without comparing it with one of Gaussians and a detail layer.
+/// In the worst case that was found, the latter has .2 SSIMULACRA2 points more.
+const MAX_SURE_TOLERANCE: u32 = 2;
+/// Minimum share of the time limit that remains for Gaussians and the detail layer.
+const MIN_TIME: f64 = 0.05;
+
+/// Encodes the picture of `source` without loss.
+///
+/// # Errors
+/// [`Error::Parameter`] for another layout than the coded one, [`Error::Cancelled`] if the caller cancels, and the
+/// errors of `source`.
+pub(super) fn lossless(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    if options.layout != Layout::Coded {
+        let problem = "only the coded layout stores pictures without loss".into();
+        return Err(Error::Parameter { parameter: Parameter::Other("layout"), problem });
+    }
+    let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
+    let survey = Survey::of(source, options, &mut report)?;
+    finish(Candidate::new(survey.into_file(options), 0)?, None, options, report)
+}
+
+/// Returns whether the encoder should try an exact layer for the picture of `source`: its pixels are often equal to their
+/// neighbours, and the options leave the layers to the encoder.
+///
+/// # Errors
+/// Returns an error of `source`.
+pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions) -> Result<bool> {
+    let may_choose = options.layout == Layout::Coded
+        && options.detail == Detail::Auto
+        && options.needs == Needs::Measured
+        && options.recipe == Recipe::Ssplat
+        && options.blend.is_none()
+        && options.levels == 1
+        && options.trace == Trace::Off
+        && !matches!(options.target, Target::Primitives(_) | Target::Lossless);
+    let [width, height] = source.size();
+    if !may_choose || height < 2 || u64::from(width) * u64::from(height) > MAX_TRIED_PIXELS {
+        return Ok(false);
+    }
+    let pairs = SAMPLED_PAIRS.min(height / 2);
+    let (mut equal, mut pixels) = (0, 0u64);
+    for i in 0..pairs {
+        let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
+        let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
+        let rows = if options.hidden == HiddenColors::Keep { rows } else { without_hidden(rows)? };
+        equal += equal_pixels(&rows);
+        pixels += 2 * u64::from(width);
+    }
+    Ok(equal as f64 >= MIN_EQUAL * pixels as f64)
+}
+
+/// Encodes a picture for which an exact layer [is worth trying](is_worth_trying): without loss, with near colours, or
+/// without the layer.
+///
+/// # Errors
+/// As [`encode_lossy`].
+pub(super) fn encode(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    let mut report = ReportBuilder::new(&mut *progress, Tracer::new(options.trace));
+    let survey = Survey::of(source, options, &mut report)?;
+    if survey.is_constant {
+        return encode_lossy(source, options, executor, progress);
+    }
+    let goal = Goal::of(options, &survey);
+    let pixels = source.part(Rect::new(0, 0, survey.size[0], survey.size[1]))?;
+    let mask = mask::of(&survey, &pixels);
+    let exact = match (&goal, &mask) {
+        (Goal::Bytes(bytes), Some(mask)) if mask.min_exact_bytes(&survey) > *bytes as f64 => None,
+        _ => Some(Candidate::new(survey.file(survey.layer.clone(), options), 0)?),
+    };
+    if exact.as_ref().is_some_and(|exact| goal.is_met_by_size(exact, options)) {
+        return finish(exact.expect("it is met"), None, options, report);
+    }
+    let near = search::near(&survey, &pixels, mask.as_ref(), &goal, options, &mut report)?;
+    let near = match goal {
+        Goal::Bytes(_) => near,
+        // Without loss, every quality is reached.
+        _ => near.into_iter().chain(exact).min_by_key(|file| file.bytes),
+    };
+    let seconds = report.seconds();
+    let time = options.time.map(|time| time.mul_f64((1.0 - seconds / time.as_secs_f64()).max(MIN_TIME)));
+    let lossy_options = EncodeOptions { time, ..options.clone() };
+    let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, progress) };
+    if near.tolerance > MAX_SURE_TOLERANCE || !matches!(goal, Goal::Bytes(_)) {
+        match lossy(source, &pixels, &near, &goal, &lossy_options, executor, progress) {
+            Ok(Some(lossy)) => return Ok(lossy),
+            Ok(None) | Err(Error::TooSmall { .. } | Error::LimitExceeded { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    let report = ReportBuilder::new(progress, Tracer::new(options.trace));
+    let mut encoded = finish(near, Some(&pixels), options, report)?;
+    encoded.report.seconds += seconds;
+    Ok(encoded)
+}
+
+/// Encodes the picture of `source` with Gaussians and a detail layer. Returns `None` if `near` is better.
+fn lossy(
+    source: &dyn PixelSource,
+    pixels: &Pixels,
+    near: &Candidate,
+    goal: &Goal,
+    options: &EncodeOptions,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Option<Encoded>> {
+    if let Goal::Bytes(_) = goal {
+        let lossy = encode_lossy(source, options, executor, progress)?;
+        let [own, other] = [&read(&lossy.bytes)?, &near.splats].map(|splats| dissimilarity(pixels, splats, options));
+        return Ok((own? <= other?).then_some(lossy));
+    }
+    // One fit shows whether a search can find a smaller file.
+    let same_size = EncodeOptions { target: Target::Bytes(near.bytes), icc: None, exif: None, ..options.clone() };
+    let same_size = EncodeOptions { thumbnail: Thumbnail::Never, ..same_size };
+    let first = encode_lossy(source, &same_size, Executor::Own, progress)?;
+    if !goal.is_met(pixels, &read(&first.bytes)?)? {
+        return Ok(None);
+    }
+    let lossy = encode_lossy(source, options, executor, progress)?;
+    Ok((picture_bytes(&lossy.bytes)? < near.bytes).then_some(lossy))
+}
+
+/// Returns the integers of a file.
+fn read(bytes: &[u8]) -> Result<PackedSplats> {
+    bitstream::read(bytes, &own_limits())
+}
+
+/// Returns the size of a file without its metadata, bytes.
+fn picture_bytes(file: &[u8]) -> Result<u64> {
+    let splats = PackedSplats { metadata: Metadata::default(), ..read(file)? };
+    Ok(to_bytes(&splats)?.len() as u64)
+}
+
+/// Renders a file as pixels like those of `like`.
+fn rendered(splats: &PackedSplats, like: &Pixels) -> Result<Pixels> {
+    let wide = (splats.channels != like.channels()).then(|| widen(splats, like.channels()));
+    let splats = wide.as_ref().unwrap_or(splats);
+    drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)
+}
+
+/// Returns how much a file differs from the picture: by PSNR if the options ask for it, otherwise by MS-SSIM, and for
+/// small pictures by SSIM or PSNR.
+fn dissimilarity(pixels: &Pixels, splats: &PackedSplats, options: &EncodeOptions) -> Result<f64> {
+    let rendered = rendered(splats, pixels)?;
+    if options.favoured() == Tune::Psnr {
+        return metrics::psnr(pixels, &rendered).map(|psnr| -psnr);
+    }
+    let found = metrics::compare(pixels, &rendered)?;
+    Ok(match found.ms_ssim.or(found.ssim) {
+        Some(similarity) => 1.0 - similarity,
+        None => -found.psnr,
+    })
+}
+
+/// A file, without its metadata and thumbnail.
+struct Candidate {
+    splats: PackedSplats,
+    /// Its size.
+    bytes: u64,
+    /// Tolerance of the colours in the exact layer, 8-bit code values.
+    tolerance: u32,
+}
+
+impl Candidate {
+    fn new(splats: PackedSplats, tolerance: u32) -> Result<Candidate> {
+        let bytes = to_bytes(&splats)?.len() as u64;
+        Ok(Candidate { splats, bytes, tolerance })
+    }
+}
+
+/// What a file should reach.
+enum Goal {
+    /// The size of the file without its metadata, bytes.
+    Bytes(u64),
+    /// PSNR, dB.
+    Psnr(f64),
+    /// SSIMULACRA2 points.
+    #[cfg(feature = "quality-hook")]
+    Quality(f64),
+}
+
+impl Goal {
+    fn of(options: &EncodeOptions, survey: &Survey) -> Goal {
+        let samples = f64::from(survey.size[0]) * f64::from(survey.size[1]) * survey.channels.count() as f64;
+        match (options.target, picture_size(options, samples, 0)) {
+            (_, Size::Bytes(bytes)) => Goal::Bytes(bytes),
+            #[cfg(feature = "quality-hook")]
+            (Target::Quality(quality), _) => Goal::Quality(quality),
+            (Target::Psnr(psnr), _) => Goal::Psnr(psnr),
+            (target, _) => unreachable!("{target:?} is not a goal"),
+        }
+    }
+
+    /// Returns the bytes for the picture in a file of `bytes`, next to a thumbnail.
+    fn is_met_by_size(&self, file: &Candidate, options: &EncodeOptions) -> bool {
+        let size = [file.splats.width, file.splats.height];
+        matches!(*self, Goal::Bytes(bytes) if file.bytes + thumbnail::reserved(options, size, bytes) <= bytes)
+    }
+
+    /// Returns whether a file reaches the goal, other than a size.
+    fn is_met(&self, pixels: &Pixels, splats: &PackedSplats) -> Result<bool> {
+        Ok(match *self {
+            Goal::Bytes(_) => true,
+            Goal::Psnr(psnr) => metrics::psnr(pixels, &rendered(splats, pixels)?)? >= psnr,
+            #[cfg(feature = "quality-hook")]
+            Goal::Quality(quality) => score(pixels, splats)? >= quality,
+        })
+    }
+}
+
+/// Adds the metadata to a file with an exact layer, and reports the result. `pixels` are those of the picture if the file
+/// may differ from it.
+fn finish(
+    candidate: Candidate,
+    pixels: Option<&Pixels>,
+    options: &EncodeOptions,
+    mut report: ReportBuilder<'_>,
+) -> Result<Encoded> {
+    let (splats, bytes) = finished(candidate.splats, options, &mut report)?;
+    let psnr = match pixels {
+        Some(pixels) => metrics::psnr(pixels, &rendered(&splats, pixels)?)?,
+        None => f64::INFINITY,
+    };
+    if options.target != Target::Lossless {
+        report.note(if psnr.is_infinite() { SkipReason::Loss } else { SkipReason::NearColors }, 0, 0.0);
+    }
+    let quality = match (options.target, pixels) {
+        #[cfg(feature = "quality-hook")]
+        (Target::Quality(_), Some(pixels)) => Some(score(pixels, &splats)?),
+        #[cfg(feature = "quality-hook")]
+        (Target::Quality(_), None) => Some(100.0),
+        _ => None,
+    };
+    let report = EncodeReport {
+        primitives: splats.gaussians.len(),
+        effort: options.effort,
+        psnr,
+        float_psnr: psnr,
+        quality,
+        seconds: report.seconds(),
+        stages: report.stages,
+        skipped: report.skipped,
+        ..EncodeReport::default()
+    };
+    Ok(Encoded { bytes, report })
+}
