@@ -43,6 +43,9 @@ export async function compile(source) {
   return WebAssembly.compile(source instanceof ArrayBuffer || ArrayBuffer.isView(source) ? source : await (await fetched(source)).arrayBuffer())
 }
 
+// The URL of the WebAssembly for this machine, or undefined if it is embedded.
+export const moduleUrl = () => served() ? (WebAssembly.validate(vectors) ? simd() : scalar()).href : undefined
+
 // The ways to start a worker, in order of preference.
 export const workers = () => [
   // Bundlers recognize exactly this expression.

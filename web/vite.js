@@ -2,7 +2,7 @@
 import { readFile, realpath } from "node:fs/promises"
 import { createRequire } from "node:module"
 import { basename, join, resolve } from "node:path"
-import { pathToFileURL } from "node:url"
+import { fileURLToPath, pathToFileURL } from "node:url"
 import { SsplatError } from "./error.js"
 import { importPicture, imports, moduleText, settingsOf, split } from "./import-picture.js"
 
@@ -22,6 +22,15 @@ async function isServed(path, server) {
   const plain = resolve(path)
   if (!isAllowed(normalizePath(plain))) return false
   return server.config.resolve.preserveSymlinks || isAllowed(normalizePath(await realpath(plain).catch(() => plain)))
+}
+
+const ofPackage = name => fileURLToPath(new URL(name, import.meta.url))
+
+// Files at the base of the site for pages that import ssplat/register: the service worker, which serves only pages below its own folder, and
+// the WebAssembly for it where register.js has no URL of that.
+const workerFiles = {
+  "ssplat-service-worker.js": { path: ofPackage("service-worker.js"), type: "text/javascript" },
+  "ssplat-simd.wasm": { path: ofPackage("ssplat-simd.wasm"), type: "application/wasm" },
 }
 
 export default function ssplat(options) {
@@ -45,6 +54,15 @@ export default function ssplat(options) {
 
     configureServer(started) {
       server = started
+      for (const [name, { path, type }] of Object.entries(workerFiles))
+        server.middlewares.use(config.base + name, async (request, response) => response.setHeader("content-type", type).end(await readFile(path)))
+    },
+
+    async generateBundle() {
+      const ids = [...this.getModuleIds()].map(id => id.split("?")[0])
+      if (!ids.includes(ofPackage("register.js").replaceAll("\\", "/"))) return
+      for (const [fileName, { path }] of Object.entries(workerFiles))
+        if (!config || path.endsWith(".js")) this.emitFile({ type: "asset", fileName, source: await readFile(path) })
     },
 
     resolveId: {

@@ -11,6 +11,7 @@ import { encode } from "../dist/encode.js"
 import { Decoder } from "../dist/ssplat.js"
 import { run, crc32, rgbaOfPam } from "./files.js"
 import { generated } from "./generated.js"
+import { test as testServiceWorker } from "./service-worker.mjs"
 
 const root = new URL("../../", import.meta.url), vectors = new URL("spec/vectors/", root)
 const program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
@@ -104,5 +105,11 @@ for (const page of pages) {
   if (answer) tell(`Chromium, ${page}`, answer)
   else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: page })
   else console.log(`Chromium, ${page}: skipped, it is not installed`)
+}
+if (!wanted || wanted.includes("service-worker.mjs")) {
+  const answer = await testServiceWorker()
+  if (answer) tell("Chromium, service-worker.mjs", answer)
+  else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: "service-worker.mjs" })
+  else console.log("Chromium, service-worker.mjs: skipped, it is not installed")
 }
 process.exit(failed ? 1 : 0)

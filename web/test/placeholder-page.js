@@ -10,7 +10,7 @@ const until = async what => {
 
 export async function test(pages) {
   const problems = []
-  for (const { name, url, sizes } of pages) {
+  for (const { name, url, sizes, images = 0 } of pages) {
     const check = (good, what) => { if (!good) problems.push(`${name}: ${what}`) }
     await fetch("/hold")
     const frame = document.createElement("iframe")
@@ -31,6 +31,8 @@ export async function test(pages) {
     check(JSON.stringify(elements().map(element => [element.naturalWidth, element.naturalHeight])) == JSON.stringify(sizes), `the pictures have ${elements().map(e => `${e.naturalWidth} × ${e.naturalHeight}`)}`)
     check(elements().every(seen) && elements().every(element => canvas(element).width != 64), "the pictures are not seen")
     check(elements().every((element, i) => { const { width, height } = element.getBoundingClientRect(); return width == places[i].width && height == places[i].height }), "the pictures have other places than their placeholders")
+    const shown = () => [...frame.contentDocument.images].filter(img => img.naturalWidth == 96).length
+    check(await until(() => shown() == images), `${shown()} of ${images} pictures are seen in <img>`)
   }
   return { problems, words: `${pages.map(page => page.name).join(", ")}: placeholders, then pictures` }
 }

@@ -101,7 +101,7 @@ const serve = async url => {
   if (path.endsWith(".ssplat")) await held
   return { body: readFileSync(path), headers: { "content-type": typeOf(path) } }
 }
-const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]] }))
+const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]], images: name == "next" ? 0 : 1 }))
 const answer = await inChromium(root, "/web/test/placeholder-page.js", pages, { serve })
 if (answer) {
   console.log(`Chromium: ${answer.words}`)

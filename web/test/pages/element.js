@@ -1,7 +1,7 @@
 // Tests <ssplat-img>.
 import "/web/dist/ssplat-img.js"
 import { decode, info } from "/web/dist/ssplat.js"
-import { crc32 } from "/web/test/files.js"
+import { exif, profile, withSections } from "/web/test/sections.js"
 
 const vector = name => `/spec/vectors/valid/${name}/file.ssplat`
 const patience = 60_000
@@ -12,39 +12,6 @@ const event = (element, names, time = patience) => new Promise(resolve => {
   setTimeout(() => resolve({ type: "nothing" }), time)
 })
 
-// Adds these sections to a file without sections.
-function withSections(file, sections) {
-  const long = bytes => new Uint8Array(new Uint32Array([crc32(bytes)]).buffer), varint = v => v < 128 ? [v] : [v & 127 | 128, ...varint(v >> 7)]
-  let end = 6
-  for (let i = 0; i < 3; i++) while (file[end++] > 127);
-  const head = [...file.subarray(0, end + 3), Object.keys(sections).length]
-  head[5] |= 128
-  // The file's checksum covers everything except the contents of the sections; that of a section starts from the header's.
-  const header = long(Uint8Array.from(head.slice(0, -1)))
-  const whole = [...head], bare = [...head]
-  for (const [name, contents] of Object.entries(sections)) {
-    const letters = [...new TextEncoder().encode(name)], all = [...letters, ...varint(contents.length), ...long(Uint8Array.from([...header, ...letters, ...contents]))]
-    whole.push(...all, ...contents)
-    bare.push(...all)
-  }
-  const payload = file.subarray(end + 3, -4)
-  return Uint8Array.from([...whole, ...payload, ...long(Uint8Array.from([...bare, ...payload]))])
-}
-
-// An EXIF block with an orientation, and an ICC profile that contains only its primaries.
-const exif = orientation => Uint8Array.of(73, 73, 42, 0, 8, 0, 0, 0, 1, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0, 0, 0, 0, 0)
-function profile(primaries) {
-  const bytes = new Uint8Array(132 + 32 * 3), view = new DataView(bytes.buffer)
-  view.setUint32(128, 3)
-  primaries.forEach((xyz, k) => {
-    bytes.set(new TextEncoder().encode(`${"rgb"[k]}XYZ`), 132 + 12 * k)
-    view.setUint32(136 + 12 * k, 168 + 20 * k)
-    view.setUint32(140 + 12 * k, 20)
-    bytes.set(new TextEncoder().encode("XYZ "), 168 + 20 * k)
-    xyz.forEach((v, i) => view.setInt32(176 + 20 * k + 4 * i, Math.round(65536 * v)))
-  })
-  return bytes
-}
 const p3 = [[.5151, .2412, -.0011], [.292, .6922, .0419], [.1571, .0666, .7841]], srgb = [[.4361, .2225, .0139], [.3851, .7169, .0971], [.1431, .0606, .7141]]
 
 export async function test() {
