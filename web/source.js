@@ -40,7 +40,7 @@ export async function compile(source) {
     if (!served() && !fast) throw new SsplatError("internal", "without vector instructions the decoder needs ssplat-scalar.wasm as its module")
     source = served() ? fast ? simd() : scalar() : await embedded()
   }
-  return WebAssembly.compile(source instanceof ArrayBuffer || ArrayBuffer.isView(source) ? source : await (await fetched(source)).arrayBuffer())
+  return WebAssembly.compile(source instanceof ArrayBuffer || ArrayBuffer.isView(source) ? source : await (await fetched(source, { priority: "high" })).arrayBuffer())
 }
 
 // The URL of the WebAssembly for this machine, or undefined if it is embedded.
