@@ -1,5 +1,14 @@
-// Installs service-worker.js, which lets <img>, srcset, <picture> and CSS show .ssplat files.
-import { moduleUrl } from "./source.js"
+// Installs service-worker.js, which lets <img>, srcset, <picture> and CSS show .ssplat files. It imports nothing, so that the worker starts early.
+
+const simd = () => new URL("./ssplat-simd.wasm", import.meta.url), scalar = () => new URL("./ssplat-scalar.wasm", import.meta.url)
+const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
+
+// The URL of the WebAssembly. As in source.js, a bundle where it was not rewritten has none; then it lies beside the script of the worker.
+function moduleUrl() {
+  const here = import.meta.url
+  if (!/\/register\.js(\?.*)?$/.test(here) && simd().href == new URL("ssplat-simd.wasm", here).href) return ""
+  return (WebAssembly.validate(vectors) ? simd() : scalar()).href
+}
 
 // Vite replaces BASE_URL by the `base` of its configuration.
 const defaultUrl = () => `${import.meta.env?.BASE_URL ?? "/"}ssplat-service-worker.js`
@@ -48,7 +57,7 @@ export async function registerSsplat({ url = defaultUrl(), scope, module = modul
   if (!container) return false
   if (!registration) {
     const script = new URL(url, document.baseURI)
-    script.searchParams.set("ssplat", module ?? "")
+    script.searchParams.set("ssplat", module)
     registration = container.register(script, { scope })
   }
   const controlled = new Promise(resolve => container.addEventListener("controllerchange", resolve, { once: true }))

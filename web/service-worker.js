@@ -17,7 +17,8 @@ const wasm = new URL(module || self.ssplatModule || "ssplat-simd.wasm", location
 let machine
 const loaded = () => machine ??= fetch(wasm).then(async response => {
   if (!response.ok) throw new Error(`${wasm}: ${response.status}`)
-  return new Machine(await WebAssembly.compile(await response.arrayBuffer()))
+  const isTyped = /^application\/wasm\b/i.test(response.headers.get("content-type"))
+  return new Machine(isTyped ? await WebAssembly.compileStreaming(response) : await WebAssembly.compile(await response.arrayBuffer()))
 }).catch(error => {
   machine = undefined
   throw error
@@ -167,7 +168,9 @@ if (module != null) {
   addEventListener("install", event => {
     // Chromium then sends all other requests to the network without waking this worker.
     event.addRoutes?.([{ condition: { not: { urlPattern: { protocol: "*", hostname: "*", port: "*", pathname: "*.ssplat" } } }, source: "network" }]).catch(() => {})
-    event.waitUntil(Promise.all([skipWaiting(), loaded().catch(() => {})]))
+    event.waitUntil(skipWaiting())
+    // Requests wait for it.
+    loaded().catch(() => {})
   })
 }
 // A page asks for it that was loaded before this worker ran, or without it by a forced reload.

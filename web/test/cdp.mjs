@@ -4,10 +4,9 @@ import { mkdtempSync, rmSync } from "node:fs"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
 
-const patience = 120_000
-
-// Starts Chromium; returns undefined if it is not installed. `onEvent` is called with {method, params, sessionId}.
-export async function chromium(onEvent = () => {}) {
+// Starts Chromium; returns undefined if it is not installed. `onEvent` is called with {method, params, sessionId}. After `patience` milliseconds
+// all requests fail.
+export async function chromium(onEvent = () => {}, patience = 120_000) {
   const home = mkdtempSync(join(tmpdir(), "ssplat-cdp-"))
   const options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--hide-scrollbars", "--remote-debugging-pipe", `--user-data-dir=${home}`]
   const browser = spawn(process.env.CHROMIUM ?? "chromium", [...options, "about:blank"], { stdio: ["ignore", "ignore", "ignore", "pipe", "pipe"], detached: true })
