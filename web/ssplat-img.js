@@ -3,6 +3,10 @@
 import { decode as drawPlaceholder } from "./placeholder.js"
 import { Decoder, SsplatError, colorSpace } from "./ssplat.js"
 import { fetched } from "./source.js"
+// Modules that the others import, so that a browser requests all of them at once.
+import "./error.js"
+import "./icc.js"
+import "./machine.js"
 
 // One worker for all elements of a page.
 let shared
