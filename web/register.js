@@ -65,7 +65,7 @@ export async function registerSsplat({ url = defaultUrl(), scope, module = modul
   if (wasControlled) return true
   const worker = active ?? waiting ?? installing
   await new Promise(resolve => {
-    const look = () => { if (/^activ|redundant/.test(worker.state)) resolve() }
+    const look = () => { if (["activating", "activated", "redundant"].includes(worker.state)) resolve() }
     worker.addEventListener("statechange", look)
     look()
   })

@@ -153,6 +153,10 @@ export async function test() {
     check(!images.some(url => url.startsWith("/a.ssplat")), "the browser itself asks for a picture although the worker answers")
     const other = responses.findLast(({ url }) => url.endsWith("/kodim15.png"))
     check(other.serviceWorkerRouterInfo?.actualSourceType == "network", `other pictures pass the worker: ${JSON.stringify(other.serviceWorkerRouterInfo)}`)
+    // A forced reload goes past the worker.
+    await page.ask("Page.reload", { ignoreCache: true })
+    check(await until(page, `window.result && ${ready}`), "nothing is shown after a forced reload")
+    await seen("forced reload")
     await page.evaluate(`(async () => {
       const cache = await caches.open("ssplat-png-1"), [key] = await cache.keys(), response = await fetch("/tests/images/kodim15.png")
       await cache.put(key, new Response(await response.blob()))
