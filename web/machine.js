@@ -12,6 +12,22 @@ const whole = (v, what, least = 0) => {
   throw new SsplatError("parameter", `${what} is ${v}, not an integer of at least ${least}`)
 }
 
+// Beginnings of files that are given instead of an .ssplat file, most often the page that a server sends for a wrong path.
+const others = [
+  [/^\s*</, "HTML or XML; is the path right?"], [/^\x89PNG/, "a PNG picture"], [/^\xff\xd8\xff/, "a JPEG picture"], [/^GIF8/, "a GIF picture"],
+  [/^RIFF....WEBP/s, "a WebP picture"], [/^....ftypavi[fs]/s, "an AVIF picture"], [/^(\xff\x0a|\0\0\0\x0cJXL )/, "a JPEG XL picture"],
+  [/^\x1f\x8b/, "compressed with gzip"], [/^version https:\/\/git-lfs/, "a pointer of Git LFS"],
+]
+
+// Tells what the file is, if it is not an .ssplat file.
+function otherKind(bytes) {
+  const start = String.fromCharCode(...bytes.subarray(0, 32))
+  if (!bytes.length) return "not an ssplat file: it is empty"
+  if ("\x89SSP".startsWith(start.slice(0, 4))) return
+  const known = others.find(([pattern]) => pattern.test(start)), hex = [...bytes.subarray(0, 4)].map(v => v.toString(16).padStart(2, "0"))
+  return `not an ssplat file: it ${known ? `is ${known[1]}` : `begins with ${hex.join(" ")}`}`
+}
+
 export class Machine {
   #module
   #wasm
@@ -44,7 +60,7 @@ export class Machine {
         to.set(from)
         return to
       }
-      if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
+      if (kind) throw new SsplatError(kinds[kind], kinds[kind] == "format" && otherKind(bytes) || new TextDecoder().decode(piece(0)))
       const numbers = Array.from({ length: 9 }, (_, k) => wasm.number(k) >>> 0)
       return [[piece(0, options.into), piece(1), piece(2), piece(3)], numbers]
     } catch (error) {

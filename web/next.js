@@ -1,4 +1,6 @@
 // The imports "./photo.jpg?ssplat" in Next.js, by Turbopack or webpack: export default withSsplat({ …the configuration… })
+import { copyFileSync, mkdirSync } from "node:fs"
+import { fileURLToPath } from "node:url"
 import { imports, settingsOf } from "./import-picture.js"
 
 const pictures = "*.{jpg,jpeg,png,webp,avif,tif,tiff,gif,svg}"
@@ -18,9 +20,14 @@ function turbopackRules(rules, options) {
   }
 }
 
-// Adds the loader to a configuration of Next.js, which may be a function. `options` are the plugin options.
-export function withSsplat(config = {}, options = {}) {
+// Adds the loader to a configuration of Next.js, which may be a function. `options` are the plugin options; with `serviceWorker` the script of
+// the service worker is copied to public/ssplat-service-worker.js, where ssplat/register expects it.
+export function withSsplat(config = {}, { serviceWorker = false, ...options } = {}) {
   settingsOf(options)
+  if (serviceWorker) {
+    mkdirSync("public", { recursive: true })
+    copyFileSync(fileURLToPath(new URL("./service-worker.js", import.meta.url)), "public/ssplat-service-worker.js")
+  }
   if (typeof config == "function") return async (...words) => withSsplat(await config(...words), options)
   return {
     ...config,

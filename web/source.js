@@ -40,7 +40,11 @@ export async function compile(source) {
     if (!served() && !fast) throw new SsplatError("internal", "without vector instructions the decoder needs ssplat-scalar.wasm as its module")
     source = served() ? fast ? simd() : scalar() : await embedded()
   }
-  return WebAssembly.compile(source instanceof ArrayBuffer || ArrayBuffer.isView(source) ? source : await (await fetched(source)).arrayBuffer())
+  if (source instanceof ArrayBuffer || ArrayBuffer.isView(source)) return WebAssembly.compile(source)
+  const response = await fetched(source, { priority: "high" })
+  // While it arrives; only with this media type.
+  if (WebAssembly.compileStreaming && /^application\/wasm\b/i.test(response.headers.get("content-type"))) return WebAssembly.compileStreaming(response)
+  return WebAssembly.compile(await response.arrayBuffer())
 }
 
 // The ways to start a worker, in order of preference.

@@ -18,6 +18,18 @@ export class SsplatImg extends HTMLElement {
   decode(): Promise<void>
 }
 
+/** The attributes of `<ssplat-img>`, for the types of frameworks. */
+export interface SsplatImgAttributes {
+  src?: string
+  alt?: string
+  loading?: "lazy" | "eager"
+  /** CSS pixels. */
+  width?: number | string
+  /** CSS pixels. */
+  height?: number | string
+  placeholder?: string
+}
+
 declare global {
   interface HTMLElementTagNameMap {
     "ssplat-img": SsplatImg

@@ -3,6 +3,10 @@
 import { decode as drawPlaceholder } from "./placeholder.js"
 import { Decoder, SsplatError, colorSpace } from "./ssplat.js"
 import { fetched } from "./source.js"
+// Modules that the others import, so that a browser requests all of them at once.
+import "./error.js"
+import "./icc.js"
+import "./machine.js"
 
 // One worker for all elements of a page.
 let shared
@@ -11,6 +15,19 @@ const decoder = () => shared ??= new Decoder({ worker: true })
 // Media types of other pictures.
 const others = /^image\/(?!x-ssplat|octet)/
 const magic = [0x89, 0x53, 0x53, 0x50]
+// Names of other pictures, for which no decoder is fetched in advance.
+const otherNames = /\.(jpe?g|png|webp|avif|gif|svg)([?#]|$)/i
+
+// Widths of placeholders. All of a page appear coarsely at once; then each is rendered finely when the page has time.
+const coarse = 64, fine = 192
+const later = globalThis.requestIdleCallback ?? (work => setTimeout(work, 50)), refinements = []
+function refineNext() {
+  refinements.shift()()
+  if (refinements.length) later(refineNext)
+}
+function refineLater(work) {
+  if (refinements.push(work) == 1) later(refineNext)
+}
 
 const bytesOf = text => Uint8Array.from(atob(text.replace(/^data:[^,]*,/, "").replace(/-/g, "+").replace(/_/g, "/")), c => c.charCodeAt(0))
 
@@ -49,6 +66,8 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   #size = [0, 0]
   #drawn = 0
   #turn = 0
+  #preview
+  #received
   #complete = true
   #started = ""
   #current = ""
@@ -119,6 +138,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   }
 
   #show(part) {
+    this.#preview = undefined
     for (const each of [this.#canvas, this.#img, this.#words]) each.hidden = each != part
   }
 
@@ -132,17 +152,27 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     this.#stop?.abort()
     this.#stop = undefined
     this.#seen.disconnect()
-    this.#file = undefined
+    this.#file = this.#received = undefined
     this.#complete = !this.src
     this.#current = ""
     const placeholder = this.getAttribute("placeholder")
     if (placeholder) {
       try {
-        const { width, height, rgba, picture } = drawPlaceholder(bytesOf(placeholder), 64)
-        paint(this.#canvas, new ImageData(rgba, width, height))
+        const bytes = bytesOf(placeholder), draw = size => {
+          const { width, height, rgba, picture } = drawPlaceholder(bytes, size)
+          paint(this.#canvas, new ImageData(rgba, width, height))
+          return picture
+        }
+        const picture = draw(coarse)
         // The placeholder has the size of its picture.
         this.#shape([picture.width, picture.height])
         this.#show(this.#canvas)
+        this.#preview = bytes
+        refineLater(() => {
+          // Something else may be shown by now.
+          const wanted = Math.min(fine, Math.ceil(this.getBoundingClientRect().width * devicePixelRatio))
+          if (this.#preview == bytes && wanted > coarse) draw(wanted)
+        })
       } catch (error) {
         console.warn("ssplat-img: the placeholder is not shown:", error.message, this)
       }
@@ -158,7 +188,9 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     const stop = this.#stop = new AbortController, { src } = this
     this.#current = src
     try {
-      const response = await fetched(src, { signal: stop.signal })
+      // The decoder is larger than most files, and all of them wait for it.
+      if (!otherNames.test(src)) decoder()
+      const response = await fetched(src, { signal: stop.signal, priority: this.loading == "lazy" ? "low" : "auto" })
       const bytes = await this.#read(response, stop.signal)
       if (stop.signal.aborted) return
       const type = response.headers.get("content-type") ?? ""
@@ -185,14 +217,18 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
       }
       if (stop.signal.aborted) return
       this.#complete = true
+      this.#received = undefined
       this.dispatchEvent(new Event("load"))
     } catch (error) {
       if (stop.signal.aborted) return
       this.#file = undefined
+      // The intact parts of a broken file, or of one that ends early, are shown.
+      if (this.#received && /^(format|network)$/.test(error.kind)) await this.#glimpse(this.#received.slice(), stop.signal)
+      if (stop.signal.aborted) return
       this.#complete = true
       this.#size = [0, 0]
       this.#words.textContent = this.alt
-      // The placeholder is more useful than the alternative text.
+      // The placeholder and parts of the picture are more useful than the alternative text.
       if (this.#canvas.hidden) this.#show(this.#words)
       const message = error.message.startsWith(src) ? error.message : `${src}: ${error.message}`
       console.error(`ssplat-img: ${message}`)
@@ -236,6 +272,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
         }
         bytes.set(value, length)
         length += value.length
+        this.#received = bytes.subarray(0, length)
         if (length > 63 && magic.every((v, i) => bytes[i] == v) && ((bytes[5] & 3) == 3 || bytes[5] > 127)) soon()
       }
     } finally {

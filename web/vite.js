@@ -2,7 +2,7 @@
 import { readFile, realpath } from "node:fs/promises"
 import { createRequire } from "node:module"
 import { basename, join, resolve } from "node:path"
-import { pathToFileURL } from "node:url"
+import { fileURLToPath, pathToFileURL } from "node:url"
 import { SsplatError } from "./error.js"
 import { importPicture, imports, moduleText, settingsOf, split } from "./import-picture.js"
 
@@ -22,6 +22,17 @@ async function isServed(path, server) {
   const plain = resolve(path)
   if (!isAllowed(normalizePath(plain))) return false
   return server.config.resolve.preserveSymlinks || isAllowed(normalizePath(await realpath(plain).catch(() => plain)))
+}
+
+const ofPackage = name => fileURLToPath(new URL(name, import.meta.url))
+// The id of a module of this package.
+const idOf = name => ofPackage(name).replaceAll("\\", "/")
+
+// Files at the base of the site for pages that import ssplat/register: the service worker, which serves only pages below its own folder, and
+// the WebAssembly for it where register.js has no URL of that.
+const workerFiles = {
+  "ssplat-service-worker.js": { path: ofPackage("service-worker.js"), type: "text/javascript" },
+  "ssplat-simd.wasm": { path: ofPackage("ssplat-simd.wasm"), type: "application/wasm" },
 }
 
 export default function ssplat(options) {
@@ -45,6 +56,31 @@ export default function ssplat(options) {
 
     configureServer(started) {
       server = started
+      for (const [name, { path, type }] of Object.entries(workerFiles))
+        server.middlewares.use(config.base + name, async (request, response) => response.setHeader("content-type", type).end(await readFile(path)))
+    },
+
+    // A page whose script imports the element fetches the decoder together with the script.
+    transformIndexHtml: {
+      order: "post",
+      handler(html, { bundle, chunk, path }) {
+        if (!bundle || !chunk || config.experimental?.renderBuiltUrl) return
+        const reached = new Set([chunk.fileName])
+        for (const name of reached) for (const next of bundle[name]?.imports ?? []) reached.add(next)
+        const ids = [...reached].flatMap(name => Object.keys(bundle[name]?.modules ?? {})).map(id => id.split("?")[0])
+        const wasm = Object.values(bundle).find(({ type, names }) => type == "asset" && names?.includes("ssplat-simd.wasm"))
+        if (!wasm || !ids.includes(idOf("ssplat-img.js"))) return
+        // A relative base is relative to the page.
+        const base = /^(\.\/)?$/.test(config.base) ? `./${"../".repeat(path.split("/").length - 2)}` : config.base
+        return [{ tag: "link", attrs: { rel: "preload", href: base + wasm.fileName, as: "fetch", crossorigin: "" }, injectTo: "head-prepend" }]
+      },
+    },
+
+    async generateBundle() {
+      const ids = [...this.getModuleIds()].map(id => id.split("?")[0])
+      if (!ids.includes(idOf("register.js"))) return
+      for (const [fileName, { path }] of Object.entries(workerFiles))
+        if (!config || path.endsWith(".js")) this.emitFile({ type: "asset", fileName, source: await readFile(path) })
     },
 
     resolveId: {

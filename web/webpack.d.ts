@@ -14,3 +14,8 @@ export interface LoaderOptions extends PluginOptions {
 export const raw: true
 /** The loader for webpack and Turbopack, used as `"ssplat/webpack"`. */
 export default function load(this: unknown): void
+
+/** A plugin that emits the service worker as `ssplat-service-worker.js`, for pages that import `ssplat/register`. */
+export class ServiceWorkerPlugin {
+  apply(compiler: object): void
+}

@@ -1,4 +1,5 @@
-// The loader for webpack, and for Turbopack in Next.js: { resourceQuery: /[?&]ssplat/, loader: "ssplat/webpack" }
+// The loader for webpack, and for Turbopack in Next.js: { resourceQuery: /[?&]ssplat/, loader: "ssplat/webpack" }; and a plugin that emits the
+// service worker.
 import { readFile } from "node:fs/promises"
 import { basename, dirname, join, relative, resolve } from "node:path"
 import { SsplatError } from "./error.js"
@@ -36,4 +37,14 @@ export default function () {
   const done = this.async()
   // webpack's cache cannot serialize custom error classes.
   load(this).then(result => done(null, result), error => done(error instanceof SsplatError ? new Error(error.message) : error))
+}
+
+// Emits the service worker as ssplat-service-worker.js, which ssplat/register installs.
+export class ServiceWorkerPlugin {
+  apply(compiler) {
+    const { Compilation, sources } = compiler.webpack, stage = Compilation.PROCESS_ASSETS_STAGE_ADDITIONAL
+    compiler.hooks.thisCompilation.tap("ssplat", compilation => compilation.hooks.processAssets.tapPromise({ name: "ssplat", stage }, async () => {
+      compilation.emitAsset("ssplat-service-worker.js", new sources.RawSource(await readFile(new URL("./service-worker.js", import.meta.url))))
+    }))
+  }
 }

@@ -11,6 +11,7 @@ import { encode } from "../dist/encode.js"
 import { Decoder } from "../dist/ssplat.js"
 import { run, crc32, rgbaOfPam } from "./files.js"
 import { generated } from "./generated.js"
+import { test as testServiceWorker } from "./service-worker.mjs"
 
 const root = new URL("../../", import.meta.url), vectors = new URL("spec/vectors/", root)
 const program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
@@ -48,6 +49,12 @@ function tell(where, { problems, words }) {
 for (const path of ["dist/ssplat-simd.wasm", "dist/ssplat-scalar.wasm", "ssplat-simd.wasm"]) {
   const module = readFileSync(new URL(`../${path}`, import.meta.url))
   tell(`Node.js, ${path}`, await run(cases, load, new Decoder({ module })))
+}
+// Files of other kinds are named.
+const started = { "HTML or XML; is the path right?": "\n<!doctype html>", "a PNG picture": "\x89PNG\r\n\x1a\n", "a JPEG picture": "\xff\xd8\xff\xe0", "begins with 61 62 63 64": "abcdef", "is empty": "" }
+for (const [words, start] of Object.entries(started)) {
+  const said = await new Decoder({ module: readFileSync(new URL("../dist/ssplat-simd.wasm", import.meta.url)) }).header(Uint8Array.from(start, c => c.charCodeAt(0))).catch(error => error.message)
+  if (!String(said).startsWith("not an ssplat file: it ") || !said.endsWith(words)) tell("Node.js", { problems: [`${JSON.stringify(start)}: ${said}`], words: "other files" })
 }
 const dist = new URL("../dist/", import.meta.url)
 const brotli = files => brotliCompressSync(Buffer.concat(files.map(f => readFileSync(new URL(f, dist)))), { params: { [constants.BROTLI_PARAM_LGWIN]: 24 } }).length
@@ -104,5 +111,11 @@ for (const page of pages) {
   if (answer) tell(`Chromium, ${page}`, answer)
   else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: page })
   else console.log(`Chromium, ${page}: skipped, it is not installed`)
+}
+if (!wanted || wanted.includes("service-worker.mjs")) {
+  const answer = await testServiceWorker()
+  if (answer) tell("Chromium, service-worker.mjs", answer)
+  else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: "service-worker.mjs" })
+  else console.log("Chromium, service-worker.mjs: skipped, it is not installed")
 }
 process.exit(failed ? 1 : 0)

@@ -10,7 +10,7 @@ const until = async what => {
 
 export async function test(pages) {
   const problems = []
-  for (const { name, url, sizes } of pages) {
+  for (const { name, url, sizes, images = 0 } of pages) {
     const check = (good, what) => { if (!good) problems.push(`${name}: ${what}`) }
     await fetch("/hold")
     const frame = document.createElement("iframe")
@@ -24,13 +24,15 @@ export async function test(pages) {
       return !hidden && width > 1 && canvas(element).getContext("2d").getImageData(0, 0, width, height).data.some(v => v > 0 && v < 255)
     }
     check(await until(() => elements().length == sizes.length && elements().every(seen)), `no placeholder is seen in ${elements().length} elements`)
-    check(elements().every(element => !element.complete && !element.naturalWidth && canvas(element).width == 64), "files came before they were let go, or placeholders are not drawn as such")
+    check(elements().every(element => !element.complete && !element.naturalWidth && canvas(element).width <= 96), "files came before they were let go, or placeholders are not drawn as such")
     const places = elements().map(element => element.getBoundingClientRect())
     await fetch("/release")
     check(await until(() => elements().every(element => element.complete)), "the files do not come")
     check(JSON.stringify(elements().map(element => [element.naturalWidth, element.naturalHeight])) == JSON.stringify(sizes), `the pictures have ${elements().map(e => `${e.naturalWidth} × ${e.naturalHeight}`)}`)
-    check(elements().every(seen) && elements().every(element => canvas(element).width != 64), "the pictures are not seen")
+    check(elements().every(seen) && elements().every(element => canvas(element).width == 96), "the pictures are not seen")
     check(elements().every((element, i) => { const { width, height } = element.getBoundingClientRect(); return width == places[i].width && height == places[i].height }), "the pictures have other places than their placeholders")
+    const shown = () => [...frame.contentDocument.images].filter(img => img.naturalWidth == 96).length
+    check(await until(() => shown() == images), `${shown()} of ${images} pictures are seen in <img>`)
   }
   return { problems, words: `${pages.map(page => page.name).join(", ")}: placeholders, then pictures` }
 }

@@ -89,6 +89,11 @@ if (isAll) {
 const built = names.map(name => filesIn(join(folder(name), examples[name].out), ".ssplat").map(file => readFileSync(file)).sort(Buffer.compare))
 for (const files of built) assert.deepEqual(files, built[0])
 
+// The page of Vite fetches the decoder at once, and the service worker lies beside the page.
+const vitePage = readFileSync(join(folder("vite"), "dist/index.html"), "utf8"), preloaded = /<link rel="preload" href="(\.\/assets\/ssplat-simd-[^"]+\.wasm)" as="fetch" crossorigin/.exec(vitePage)
+assert(preloaded && existsSync(join(folder("vite"), "dist", preloaded[1])), vitePage)
+for (const name of names) if (name != "next") assert(existsSync(join(folder(name), "dist/ssplat-service-worker.js")), `${name}: no service worker`)
+
 // The pages, whose .ssplat files are held back until they are released.
 let held = Promise.resolve(), release = () => {}
 const serve = async url => {
@@ -101,7 +106,7 @@ const serve = async url => {
   if (path.endsWith(".ssplat")) await held
   return { body: readFileSync(path), headers: { "content-type": typeOf(path) } }
 }
-const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]] }))
+const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]], images: name == "next" ? 0 : 1 }))
 const answer = await inChromium(root, "/web/test/placeholder-page.js", pages, { serve })
 if (answer) {
   console.log(`Chromium: ${answer.words}`)

@@ -126,6 +126,12 @@ export async function test({ home, vite, program, installed }) {
       return text
     }
 
+    // The service worker and its WebAssembly lie at the base.
+    for (const [name, file] of [["ssplat-service-worker.js", "service-worker.js"], ["ssplat-simd.wasm", "ssplat-simd.wasm"]]) {
+      const answer = await fetch(`${origin}/base/${name}`)
+      assert(answer.ok && Buffer.compare(Buffer.from(await answer.arrayBuffer()), readFileSync(join(vite, "node_modules/ssplat", file))) == 0, `${name}: ${answer.status}`)
+    }
+
     // Before a module that imports the picture is sent, nobody can have it encoded.
     await refused("/base/rgb.png?import&ssplat")
     const { text: page } = await get("/base/page.js"), [named, plain] = [...page.matchAll(/from "([^"]*[?&]ssplat[^"]*)"/g)].map(([, url]) => url)

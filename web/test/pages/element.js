@@ -1,7 +1,7 @@
 // Tests <ssplat-img>.
 import "/web/dist/ssplat-img.js"
 import { decode, info } from "/web/dist/ssplat.js"
-import { crc32 } from "/web/test/files.js"
+import { exif, profile, withSections } from "/web/test/sections.js"
 
 const vector = name => `/spec/vectors/valid/${name}/file.ssplat`
 const patience = 60_000
@@ -12,39 +12,6 @@ const event = (element, names, time = patience) => new Promise(resolve => {
   setTimeout(() => resolve({ type: "nothing" }), time)
 })
 
-// Adds these sections to a file without sections.
-function withSections(file, sections) {
-  const long = bytes => new Uint8Array(new Uint32Array([crc32(bytes)]).buffer), varint = v => v < 128 ? [v] : [v & 127 | 128, ...varint(v >> 7)]
-  let end = 6
-  for (let i = 0; i < 3; i++) while (file[end++] > 127);
-  const head = [...file.subarray(0, end + 3), Object.keys(sections).length]
-  head[5] |= 128
-  // The file's checksum covers everything except the contents of the sections; that of a section starts from the header's.
-  const header = long(Uint8Array.from(head.slice(0, -1)))
-  const whole = [...head], bare = [...head]
-  for (const [name, contents] of Object.entries(sections)) {
-    const letters = [...new TextEncoder().encode(name)], all = [...letters, ...varint(contents.length), ...long(Uint8Array.from([...header, ...letters, ...contents]))]
-    whole.push(...all, ...contents)
-    bare.push(...all)
-  }
-  const payload = file.subarray(end + 3, -4)
-  return Uint8Array.from([...whole, ...payload, ...long(Uint8Array.from([...bare, ...payload]))])
-}
-
-// An EXIF block with an orientation, and an ICC profile that contains only its primaries.
-const exif = orientation => Uint8Array.of(73, 73, 42, 0, 8, 0, 0, 0, 1, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0, 0, 0, 0, 0)
-function profile(primaries) {
-  const bytes = new Uint8Array(132 + 32 * 3), view = new DataView(bytes.buffer)
-  view.setUint32(128, 3)
-  primaries.forEach((xyz, k) => {
-    bytes.set(new TextEncoder().encode(`${"rgb"[k]}XYZ`), 132 + 12 * k)
-    view.setUint32(136 + 12 * k, 168 + 20 * k)
-    view.setUint32(140 + 12 * k, 20)
-    bytes.set(new TextEncoder().encode("XYZ "), 168 + 20 * k)
-    xyz.forEach((v, i) => view.setInt32(176 + 20 * k + 4 * i, Math.round(65536 * v)))
-  })
-  return bytes
-}
 const p3 = [[.5151, .2412, -.0011], [.292, .6922, .0419], [.1571, .0666, .7841]], srgb = [[.4361, .2225, .0139], [.3851, .7169, .0971], [.1431, .0606, .7141]]
 
 export async function test() {
@@ -83,7 +50,7 @@ export async function test() {
   check(canvas(small).width == Math.ceil(200 * devicePixelRatio), `200 px are drawn as ${canvas(small).width}`)
 
   // A damaged or missing file causes an error with the reason, and does not affect other elements.
-  for (const [src, kind] of [["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/many-primitives/file.ssplat", "limit"], ["/web/no-such-file.ssplat", "network"], ["http://127.0.0.1:1/refused.ssplat", "network"]]) {
+  for (const [src, kind] of [["/spec/vectors/invalid/empty-file/file.ssplat", "format"], ["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/many-primitives/file.ssplat", "limit"], ["/web/no-such-file.ssplat", "network"], ["http://127.0.0.1:1/refused.ssplat", "network"]]) {
     const broken = add({ src, alt: "what it would be" }), answer = await event(broken, ["load", "error"])
     check(answer.type == "error" && answer.error.kind == kind && answer.message.includes(src), `${src}: ${answer.type}, ${answer.error?.kind}`)
     check(broken.shadowRoot.querySelector("span").textContent == "what it would be" && !broken.shadowRoot.querySelector("span").hidden, `${src}: alt is not shown`)
@@ -91,12 +58,24 @@ export async function test() {
     check((await event(broken, ["load", "error"])).type == "load", `${src}: no other file can be shown after it`)
   }
 
+  // The intact parts of a broken file are shown.
+  const damaged = add({ src: "/spec/vectors/invalid/detail-check/file.ssplat" })
+  check((await event(damaged, ["load", "error"])).type == "error" && seen(damaged) && !damaged.naturalWidth, "a broken file shows nothing")
+  const broken = add({ src: "/web/README.md" }), { error } = await event(broken, ["load", "error"])
+  check(/not an ssplat file: it begins with 23 20 73 73$/.test(error?.message), error?.message)
+
   // A placeholder is shown at once, as base64 and as data URI; broken ones are ignored.
   const inline = await base64(vector("coded-rgb"))
   for (const placeholder of [inline, `data:image/x-ssplat;base64,${inline}`]) {
     const held = add({ placeholder })
     check(seen(held) && held.getBoundingClientRect().width == plain.naturalWidth, "the placeholder is not seen")
   }
+  // It is rendered finely when the page has time, unless the picture has replaced it.
+  const large = add({ placeholder: inline, width: 300 }), replaced = add({ placeholder: inline, src: vector("coded-rgb"), width: 300 })
+  check(canvas(large).width == 64, `a placeholder is first drawn ${canvas(large).width} wide`)
+  await event(replaced, ["load", "error"])
+  for (let i = 0; i < patience / 50 && canvas(large).width == 64; i++) await new Promise(r => setTimeout(r, 50))
+  check(canvas(large).width == 192 && canvas(replaced).width == Math.ceil(300 * devicePixelRatio), `placeholders are drawn ${canvas(large).width} wide, pictures ${canvas(replaced).width}`)
   const unharmed = add({ placeholder: "AAAA", src: vector("coded-grey") })
   check((await event(unharmed, ["load", "error"])).type == "load", "a broken placeholder does harm")
   const kept = add({ placeholder: inline, src: "/web/no-such-file.ssplat" })
@@ -146,7 +125,7 @@ export async function test() {
       at = end
     }
     more()
-    return { bytes, element, loaded, more }
+    return { bytes, element, loaded, more, cut: () => stream.error(new Error("gone")) }
   }
   const until = async good => {
     for (let i = 0; i < patience / 50 && !good(); i++) await new Promise(r => setTimeout(r, 50))
@@ -163,6 +142,16 @@ export async function test() {
   const once = add({ src: vector("groups-divided") })
   await event(once, ["load", "error"])
   check(same(pixels(once), pixels(streamed.element)) && !same(half, pixels(once)), "a file in two parts is not drawn whole")
+
+  // What has arrived stays if the transfer breaks off, or if the file ends there, even if nothing was shown before.
+  for (const [name, end] of [["groups-divided", 3000], ["detail-odd", -40]]) {
+    const torn = await inPieces(name, [end]), expected = await decode(torn.bytes.slice(0, end), { partial: true })
+    torn.cut()
+    const { type, error } = await torn.loaded
+    check(type == "error" && error.kind == "network" && seen(torn.element) && same(pixels(torn.element), expected.data), `${name}: what has arrived is not shown after an ${type}`)
+    const cut = add({ src: url(torn.bytes.slice(0, end)) })
+    check((await event(cut, ["load", "error"])).type == "error" && same(pixels(cut), expected.data), `${name}: a file that is cut off is not shown`)
+  }
 
   // Its levels are shown as soon as they are complete, the coarse one first, even if only three bytes have arrived since the last rendering
   // and no more follow.
