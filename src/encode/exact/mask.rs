@@ -14,7 +14,7 @@ const STEP_OF_TOLERANCE: f32 = 2.0;
 const CHROMA_STEP: f32 = 2.5;
 /// Bits of a coefficient for each doubling of its square.
 const BITS_AN_OCTAVE: f32 = 0.75;
-/// Minimum number of cells of photographs, and maximum share of all cells, in a picture with a mask.
+/// Minimum number of cells of photographs in a picture with a mask, and their maximum share of all cells.
 const MIN_NATURAL: usize = 64;
 const MAX_NATURAL_SHARE: f64 = 0.9;
 /// Minimum share of the pixels around a cell that differ from all their neighbours in photographs, and in their smooth
@@ -211,23 +211,35 @@ pub(super) struct Mask {
 /// Tolerances at which the bytes of a transform are estimated.
 const TOLERANCES: [f32; 6] = [1.0, 3.0, 8.0, 16.0, 32.0, 48.0];
 
-/// Returns the mask of a picture, or `None` if the layer covers all of it.
-pub(super) fn of(survey: &Survey, pixels: &Pixels) -> Option<Mask> {
+/// What an exact layer can cover of a picture.
+pub(super) enum Cover {
+    All,
+    /// The cells of a mask.
+    Some(Mask),
+    /// Next to nothing, because the picture is a photograph.
+    Nothing,
+}
+
+/// Returns what an exact layer can cover of a picture. With alpha, it covers all of it.
+pub(super) fn cover(survey: &Survey, pixels: &Pixels) -> Cover {
     if survey.channels.alpha().is_some() {
-        return None;
+        return Cover::All;
     }
     let size = survey.size.map(|side| side as usize);
     let shape = Shape { size, channels: survey.channels, depth: survey.depth };
     let cells: Vec<bool> = natural(pixels.samples(), &shape).into_iter().map(|is_natural| !is_natural).collect();
     let others = cells.iter().filter(|&&is_covered| !is_covered).count();
-    if others < MIN_NATURAL || others as f64 > MAX_NATURAL_SHARE * cells.len() as f64 {
-        return None;
+    if others as f64 > MAX_NATURAL_SHARE * cells.len() as f64 {
+        return Cover::Nothing;
+    }
+    if others < MIN_NATURAL {
+        return Cover::All;
     }
     let transform = TOLERANCES.map(|tolerance| {
         let bits = transform_bits(pixels.samples(), &shape, &cells, tolerance);
         bits / 8.0
     });
-    Some(Mask { cells, width: size[0], transform })
+    Cover::Some(Mask { cells, width: size[0], transform })
 }
 
 impl Mask {

@@ -12,7 +12,8 @@ mod survey;
 
 use std::ops::ControlFlow;
 
-use self::survey::{Survey, equal_pixels, finished, without_hidden};
+use self::mask::Cover;
+use self::survey::{Survey, equal_neighbours, finished, without_hidden};
 use super::channels::widen;
 use super::drawn::{drawn, own_limits};
 use super::rate_control::picture_size;
@@ -41,8 +42,10 @@ const SAMPLED_PAIRS: u32 = 24;
 /// Maximum number of pixels of such a picture. Larger ones may not fit into memory.
 const MAX_TRIED_PIXELS: u64 = 1 << 25;
 /// Minimum share of pixels that equal their left or upper neighbour in a picture for which the layer is tried. Screens,
-/// pages and drawings have .6 to .99, and photographs less than .2.
-const MIN_EQUAL: f64 = 0.4;
+/// pages and drawings have .8 to .98, and photographs less than .3 or, if they are dark or out of focus, up to .6.
+const MIN_EQUAL: f64 = 0.35;
+/// Minimum share of these that equal both. Screens, pages and drawings have .69 to .98, and photographs .18 to .58.
+const MIN_BOTH_EQUAL: f64 = 0.65;
 /// Largest tolerance of colours with which a file is taken without comparing it with one of Gaussians and a detail layer.
 /// In the worst case that was found, the latter has .2 SSIMULACRA2 points more.
 const MAX_SURE_TOLERANCE: u32 = 2;
@@ -87,15 +90,17 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
         return Ok(false);
     }
     let pairs = SAMPLED_PAIRS.min(height / 2);
-    let (mut equal, mut pixels) = (0, 0u64);
+    let (mut either, mut both, mut pixels) = (0, 0, 0u64);
     for i in 0..pairs {
         let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
         let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
         let rows = if options.hidden == HiddenColors::Keep { rows } else { without_hidden(rows)? };
-        equal += equal_pixels(&rows);
-        pixels += 2 * u64::from(width);
+        let equal = equal_neighbours(&rows);
+        either += equal.iter().filter(|&&[left, above]| left || above).count();
+        both += equal.iter().filter(|&&[left, above]| left && above).count();
+        pixels += u64::from(width);
     }
-    Ok(equal as f64 >= MIN_EQUAL * pixels as f64)
+    Ok(either as f64 >= MIN_EQUAL * pixels as f64 && both as f64 >= MIN_BOTH_EQUAL * either as f64)
 }
 
 /// Encodes a picture for which an exact layer [is worth trying](is_worth_trying): without loss, with near colours, or
@@ -116,7 +121,11 @@ pub(super) fn encode(
     }
     let goal = Goal::of(options, &survey);
     let pixels = source.part(Rect::new(0, 0, survey.size[0], survey.size[1]))?;
-    let mask = mask::of(&survey, &pixels);
+    let mask = match mask::cover(&survey, &pixels) {
+        Cover::All => None,
+        Cover::Some(mask) => Some(mask),
+        Cover::Nothing => return encode_lossy(source, options, executor, progress),
+    };
     let exact = match (&goal, &mask) {
         (Goal::Bytes(bytes), Some(mask)) if mask.min_exact_bytes(&survey) > *bytes as f64 => None,
         _ => Some(Candidate::new(survey.file(survey.layer.clone(), options), 0)?),

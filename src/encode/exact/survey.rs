@@ -161,7 +161,7 @@ fn add_samples(pixels: &Pixels, sums: &mut [u64; 4]) {
 }
 
 /// Returns the number of pixels that are equal to their left neighbour or to the one above.
-pub(super) fn equal_pixels(pixels: &Pixels) -> u64 {
+fn equal_pixels(pixels: &Pixels) -> u64 {
     fn equal<T: PartialEq>(samples: &[T], count: usize, row: usize) -> u64 {
         let pixel = |at: usize| &samples[at..at + count];
         let is_equal = |at: usize| {
@@ -174,6 +174,23 @@ pub(super) fn equal_pixels(pixels: &Pixels) -> u64 {
     match pixels.samples() {
         Samples::U8(v) => equal(v, count, row),
         Samples::U16(v) => equal(v, count, row),
+    }
+}
+
+/// Returns for each pixel of the second of two rows whether it equals its left neighbour, and the one above.
+pub(super) fn equal_neighbours(rows: &Pixels) -> Vec<[bool; 2]> {
+    fn equal<T: PartialEq>(samples: &[T], count: usize) -> Vec<[bool; 2]> {
+        let (above, row) = samples.split_at(samples.len() / 2);
+        let equal = |x: usize| {
+            let (at, own) = (x * count, &row[x * count..][..count]);
+            [x > 0 && *own == row[at - count..at], *own == above[at..][..count]]
+        };
+        (0..row.len() / count).map(equal).collect()
+    }
+    let count = rows.channels().count();
+    match rows.samples() {
+        Samples::U8(v) => equal(v, count),
+        Samples::U16(v) => equal(v, count),
     }
 }
 
