@@ -13,13 +13,19 @@ use crate::bitstream::detail::tile::{ROOT, TileState, kinds};
 
 /// Returns the size of the block that each cell of `tile` lies in, by kind.
 pub(super) fn blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
-    blocks_among(&AllSizes::new(tile, setting.head), tile, classes, setting)
+    let ground = Ground::of(tile, setting.mixed.flat_range);
+    blocks_among(&AllSizes::new(tile, setting.head), tile, (classes, &ground), setting)
 }
 
-/// Returns the same, given the coefficients of `tile` in blocks of all sizes.
-pub(super) fn blocks_among(all: &AllSizes, tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
+/// Returns the same, given the coefficients of `tile` in blocks of all sizes, its classes and its flat cells.
+pub(super) fn blocks_among(
+    all: &AllSizes,
+    tile: &TileResidual,
+    (classes, ground): (&[u8], &Ground),
+    setting: &Setting,
+) -> [Vec<u8>; KINDS] {
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
-    let (factors, ground) = (Factors::new(setting.head), Ground::of(tile));
+    let factors = Factors::new(setting.head);
     let mut chooser = BlockChooser { setting, classes, all, factors, ground, sizes };
     for at in TileState::new(tile.size).superblocks() {
         for (kind, _) in kinds(setting.channels, setting.head.alpha) {
@@ -34,7 +40,7 @@ struct BlockChooser<'a> {
     classes: &'a [u8],
     all: &'a AllSizes,
     factors: Factors,
-    ground: Ground,
+    ground: &'a Ground,
     sizes: [Vec<u8>; KINDS],
 }
 
@@ -68,8 +74,7 @@ impl BlockChooser<'_> {
     fn cost(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
         let [x, y] = cell.map(|c| c / (SUPER / CELL));
         let class = self.classes.get(y * SUPERS + x).copied().unwrap_or(0);
-        // Flat regions are those of luma. Alpha has its own edges.
-        let factor = if kind < 2 && self.ground.is_mixed(cell, size) { self.setting.mixed_cost } else { 1.0 };
+        let factor = if self.ground.is_mixed(kind, cell, size) { self.setting.mixed.estimate } else { 1.0 };
         let cost =
             |plane: usize| rough_cost(self.all.plane(size, plane), cell, size, self.factors.of(class, plane, size));
         factor * planes(kind).map(cost).sum::<f32>()
@@ -83,17 +88,27 @@ mod tests {
     use crate::bitstream::detail::levels::TILE;
     use crate::bitstream::detail::model::PLANES;
     use crate::encode::layer::choose::{BlockChoice, LevelSearch, priced_blocks};
+    use crate::encode::layer::ground::MixedBlocks;
     use crate::gaussian::Channels;
 
     /// Returns the block sizes of luma by the estimate and by prices.
-    fn sizes_of(luma: impl Fn(usize, usize) -> f32) -> [Vec<u8>; 2] {
+    fn sizes_of(residual: impl Fn(usize, usize) -> f32) -> [Vec<u8>; 2] {
+        sizes_over(residual, |_, _| 0.0, MixedBlocks::PLAIN)
+    }
+
+    /// Returns the same for a picture with this luma.
+    fn sizes_over(
+        residual: impl Fn(usize, usize) -> f32,
+        luma: impl Fn(usize, usize) -> f32,
+        mixed: MixedBlocks,
+    ) -> [Vec<u8>; 2] {
         let mut planes: [Vec<f32>; PLANES] = Default::default();
-        planes[0] = (0..TILE * TILE).map(|i| luma(i % TILE, i / TILE)).collect();
-        let tile = TileResidual { size: [TILE, TILE], planes, luma: vec![0.0; TILE * TILE] };
+        planes[0] = (0..TILE * TILE).map(|i| residual(i % TILE, i / TILE)).collect();
+        let luma = (0..TILE * TILE).map(|i| luma(i % TILE, i / TILE)).collect();
+        let tile = TileResidual { size: [TILE, TILE], planes, luma };
         let head = DetailHead { step: 640, ..DetailHead::PLAIN };
         let (level_search, blocks_by) = (LevelSearch::Thorough, BlockChoice::Rough);
-        let setting =
-            Setting { head, channels: Channels::Grey, lambda: 0.1, level_search, blocks: blocks_by, mixed_cost: 1.0 };
+        let setting = Setting { head, channels: Channels::Grey, lambda: 0.1, level_search, blocks: blocks_by, mixed };
         let [[estimated, ..], [priced, ..]] = [
             blocks(&tile, &[], &setting),
             priced_blocks(&tile, &[], &Setting { blocks: BlockChoice::Priced, ..setting }),
@@ -125,5 +140,20 @@ mod tests {
         let [estimated, priced] = sizes_of(|x, y| 300.0 * sum(x) * sum(y));
         assert!(large(&estimated) > 0.9, "{} of the cells are in blocks of 32", large(&estimated));
         assert_eq!(priced, estimated);
+    }
+
+    #[test]
+    fn blocks_across_the_edge_of_flat_ground_are_small_if_they_cost_more() {
+        let wave = |x: usize| 2000.0 * (std::f32::consts::PI * (x % 32 * 2 + 1) as f32 * 5.0 / 64.0).cos();
+        let luma = |x: usize, y: usize| if x < 48 { (x + y) as f32 % 3.0 } else { (x * 31 + y * 13) as f32 % 90.0 };
+        let sizes = |estimate, price| {
+            let mixed = MixedBlocks { flat_range: 4.0, estimate, price };
+            // Blocks on flat ground, across its edge, and beside it.
+            sizes_over(|x, _| wave(x), luma, mixed).map(|sizes| [0, 8, 16].map(|cell| sizes[cell]))
+        };
+        assert_eq!(sizes(1.0, 1.0), [[3; 3]; 2]);
+        let small = sizes(9.0, 9.0);
+        assert!(small.iter().all(|&[flat, across, beside]| flat == 3 && across < 3 && beside == 3), "{small:?}");
+        assert_eq!([sizes(9.0, 1.0)[1], sizes(1.0, 9.0)[0]], [[3; 3]; 2]);
     }
 }

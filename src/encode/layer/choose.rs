@@ -2,6 +2,7 @@
 
 use super::blocks::blocks_among;
 use super::coefficients::{self, AllSizes, Coefficients, Division};
+use super::ground::{Ground, MixedBlocks};
 use super::in_steps::{Factors, KeptBase, Values};
 use super::residual::TileResidual;
 use crate::bitstream::coder::range::Encoder;
@@ -23,8 +24,8 @@ pub(super) struct Setting {
     pub lambda: f32,
     pub level_search: LevelSearch,
     pub blocks: BlockChoice,
-    /// Factor on the estimated cost of blocks that contain both flat and other cells, where ringing is visible.
-    pub mixed_cost: f32,
+    /// Costs of blocks that contain both flat and other cells, where ringing is visible.
+    pub mixed: MixedBlocks,
 }
 
 /// Method for choosing the blocks of a tile.
@@ -116,8 +117,8 @@ struct Candidate {
 /// Source of the coefficients.
 #[derive(Clone, Copy)]
 enum Source<'a> {
-    /// Blocks of all sizes, from which the chooser selects, and the selection by the estimate.
-    All { all: &'a AllSizes, estimated: &'a [Vec<u8>; KINDS] },
+    /// Blocks of all sizes, from which the chooser selects, the selection by the estimate, and the flat cells.
+    All { all: &'a AllSizes, estimated: &'a [Vec<u8>; KINDS], ground: &'a Ground },
     /// Blocks that are already chosen.
     Chosen(&'a Coefficients),
 }
@@ -162,10 +163,12 @@ struct Tried {
 /// Returns the size of the block that each cell lies in, by kind.
 pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, setting.head);
-    let estimated = blocks_among(&all, tile, classes, setting);
+    let ground = Ground::of(tile, setting.mixed.flat_range);
+    let estimated = blocks_among(&all, tile, (classes, &ground), setting);
     let setting = Setting { level_search: LevelSearch::Quick, ..*setting };
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
-    Chooser::new(tile, classes, &setting, Source::All { all: &all, estimated: &estimated }, sizes).run().sizes
+    let source = Source::All { all: &all, estimated: &estimated, ground: &ground };
+    Chooser::new(tile, classes, &setting, source, sizes).run().sizes
 }
 
 /// Chooses the levels of a tile in blocks of the given `sizes`. The coefficients come from `kept`, which is filled on
@@ -324,6 +327,11 @@ impl<'a> Chooser<'a> {
             all.counts[i] = count;
             all.is_quiet &= is_quiet;
             all.is_crowded |= is_crowded;
+        }
+        if let Source::All { ground, .. } = self.source
+            && ground.is_mixed(kind, cell, size)
+        {
+            all.cost *= self.setting.mixed.price;
         }
         all
     }

@@ -36,6 +36,7 @@ use crate::pixel_source::PixelSource;
 use crate::round::rounded::projected;
 use crate::strict_math::StrictMath;
 use choose::{BlockChoice, LevelSearch, Setting};
+use ground::MixedBlocks;
 use parts::Parts;
 use residual::TileResidual;
 use search::{Closeness, Coded, SearchSettings, search};
@@ -101,9 +102,6 @@ const DRAWING_BITS: f64 = 0.09;
 /// lose 1.2 and gain 0.5.
 const DRAWING_BITS_PIXELS: f64 = 262_144.0;
 const DRAWING_BITS_POWER: f64 = 0.2;
-/// Value of [`Setting::mixed_cost`] for drawings. It contributes 3.7 and 2.2 points to that gain at a ratio of 100.
-/// With 1.6 and 2, the diagrams lose 0.1 to 0.3 points.
-const DRAWING_MIXED_COST: f32 = 1.3;
 /// Growth of the steps with frequency in drawings, whose lines are sharp in coarse layers too.
 const DRAWING_SLOPES: Slopes = Slopes(&[
     Knot { step: 600, slopes: [20, 40], chroma: [64, 32] },
@@ -315,7 +313,8 @@ fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSet
     // For pure squared error, the rough estimate loses 0.1 dB.
     let blocks = if tune == Tune::Psnr { BlockChoice::Priced } else { BlockChoice::Rough };
     let level_search = if tune == Tune::Psnr { LevelSearch::Exhaustive } else { LevelSearch::Thorough };
-    let coding = Setting { head, channels, lambda, level_search, blocks, mixed_cost: 1.0 };
+    let mixed = if tune == Tune::Iq { MixedBlocks::PHOTOGRAPH } else { MixedBlocks::PLAIN };
+    let coding = Setting { head, channels, lambda, level_search, blocks, mixed };
     SearchSettings {
         coding,
         powers,
@@ -337,7 +336,7 @@ fn least_drawing_bits(pixels: u64) -> f64 {
 fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     // Coloured lines need small chroma blocks.
     settings.coding.head.sizes[1][0] = settings.coding.head.sizes[0][0];
-    settings.coding.mixed_cost = DRAWING_MIXED_COST;
+    settings.coding.mixed = MixedBlocks::DRAWING;
     if tune == Tune::Iq {
         // Prices do not include the cost of blocks with flat ground.
         settings.coding.blocks = BlockChoice::Rough;
