@@ -201,9 +201,9 @@ fn page([width, height]: [u32; 2], has_photograph: bool) -> Pixels {
         if has_photograph && y >= height / 2 {
             samples.extend(photograph.get_pixel(x + 200, y).0);
         } else {
-            let glyph = (x / 7 * 31 + y / 11 * 17) % 61;
-            let is_ink = x % 7 < 5 && y % 11 < 8 && (x % 7 * 5 + y % 11 * 3 + glyph) % 4 < 2;
-            let shade = shades[(glyph * 64 + y % 11 * 8 + x % 7 + x / 31 * 7) as usize % 4096];
+            let glyph = (x / 9 * 31 + y / 16 * 17) % 61;
+            let is_ink = x % 9 < 5 && y % 16 < 8 && (x % 9 * 5 + y % 16 * 3 + glyph) % 4 < 2;
+            let shade = shades[(glyph * 64 + y % 16 * 8 + x % 9 + x / 31 * 7) as usize % 4096];
             samples.extend(if is_ink { [shade, shade, shade / 2 + 20] } else { [255; 3] });
         }
     }
