@@ -15,7 +15,10 @@ Pictures are converted to 8 bits and to RGB, or RGBA if they have alpha. The com
 """
 import argparse, io, pathlib, resource, subprocess, sys, tempfile, time
 
-import pillow_jxl  # noqa: F401, registers JPEG XL
+try:
+    import pillow_jxl  # noqa: F401, registers JPEG XL
+except ImportError:
+    pillow_jxl = None
 from PIL import Image
 
 KINDS = {".png", ".jpg", ".jpeg", ".webp", ".ppm", ".bmp", ".tif", ".tiff"}

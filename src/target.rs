@@ -1,6 +1,11 @@
 //! Target of an encode.
 
 /// Target of an encode: the size, the number of primitives, or the quality of the file.
+///
+/// Screens, pages and drawings are stored without loss if that fits into the requested size, or if it takes no more
+/// bytes than the requested quality. If it does not fit, the file has an exact layer with colours near those of the
+/// picture if that is better by MS-SSIM than Gaussians and a detail layer. Photographs within a page are left to these
+/// two. [`Encoder::detail`](crate::Encoder::detail) turns this off.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 #[doc(alias("quality", "rate_control"))]

@@ -4,7 +4,7 @@ import { SsplatError } from "./error.js"
 
 const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
 // In the order of the module's numbers.
-const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels"]
+const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels", "lossless"]
 const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
 
 // The initial memory of a module in pages of 64 KiB; it grows up to the limit.

@@ -17,7 +17,7 @@ export interface EncodePixels {
   channels?: 1 | 2 | 3 | 4
 }
 
-/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality` and `primitives` may be given; by default the ratio is 50. */
+/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality`, `primitives` and `lossless` may be given; by default the ratio is 50. */
 export interface EncodeOptions {
   /** Bytes of the samples divided by bytes of the file. */
   ratio?: number
@@ -29,6 +29,8 @@ export interface EncodeOptions {
   quality?: number
   /** Number of Gaussians. */
   primitives?: number
+  /** true: the file decodes to the samples of the picture. Colours under alpha 0 become black. */
+  lossless?: boolean
   /** 1 to 9, by default 5; higher efforts take longer and give better pictures. */
   effort?: number
   /** The measure to favour: by default "iq" (perceptual quality), or "psnr" if a PSNR is requested. */

@@ -5,7 +5,7 @@ import { run, score } from "./encode-machine.js"
 
 export { SsplatError, names as optionNames }
 
-const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
+const targets = ["ratio", "bytes", "psnr", "quality", "primitives", "lossless"]
 const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "scoreModule", "signal", "onProgress"]
 const bad = words => { throw new SsplatError("parameter", words) }
 // Default maximum memory of the WebAssembly in bytes: the limit of the Rust crate on 32-bit systems.
@@ -86,7 +86,7 @@ function only(names, options) {
 function jobOf(pixels, options) {
   only(names, options)
   const given = name => options[name] != null, settings = {}
-  const asked = targets.filter(given)
+  const asked = targets.filter(name => given(name) && options[name] !== false)
   if (asked.length > 1) bad(`${asked.join(" and ")} are given, of which a file can have one`)
   const number = (name, least, most, isWhole) => { if (given(name)) settings[name] = within(name, options[name], least, most, isWhole) }
   const word = (name, ...words) => {
@@ -101,6 +101,10 @@ function jobOf(pixels, options) {
   number("time", 0, Number.MAX_VALUE, false)
   number("seed", 0, Number.MAX_SAFE_INTEGER)
   number("levels", 1, 8)
+  if (given("lossless")) {
+    if (typeof options.lossless != "boolean") bad(`lossless is ${options.lossless}, neither true nor false`)
+    if (options.lossless) settings.lossless = 1
+  }
   word("tune", "psnr", "ssim", "iq")
   word("detail", "auto", "off")
   const icc = bytesOf("icc", options.icc), exif = bytesOf("exif", options.exif)

@@ -159,7 +159,8 @@ pub struct Encode {
     #[arg(help_heading = "Contents and encoding", long)]
     pub keep_hidden: bool,
     /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (if the file gains
-    /// by it), off, or the share of the bytes for the Gaussians, above 0 and below 1
+    /// by it; screens, pages and drawings may have an exact layer instead), off, or the share of the bytes for the
+    /// Gaussians, above 0 and below 1
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
     pub detail: Detail,
     /// Number of progressive levels, each of which costs 1 to 2 % of the bytes; a file that is truncated after a level

@@ -48,7 +48,7 @@ pub fn note(pixels: &Pixels, bytes: usize, psnr: f64) -> Option<String> {
         return (psnr < SHARP && is_noisy_page(pixels, samples)).then(|| {
             format!(
                 "this picture is a page or a drawing with noise, and its lines are blurred (PSNR {psnr:.1} dB): more bytes, as \
-                 with --quality 80, keep them sharp, and AVIF is usually sharper at equal bytes"
+                 with --quality 80, keep them sharp"
             )
         });
     }
@@ -67,7 +67,7 @@ pub fn note(pixels: &Pixels, bytes: usize, psnr: f64) -> Option<String> {
         format!("this picture is a drawing{colors}: {png}")
     } else {
         format!(
-            "this picture is a drawing{colors}, and its lines are blurred (PSNR {psnr:.1} dB): {png}, and AVIF is usually sharper at equal bytes"
+            "this picture is a drawing{colors}, and its lines are blurred (PSNR {psnr:.1} dB): --lossless keeps them, and {png}"
         )
     })
 }

@@ -130,7 +130,8 @@ impl Encoder {
         self
     }
 
-    /// Sets whether files have a detail layer, and its share of the bytes. The default is [`Detail::Auto`].
+    /// Sets whether files have a detail layer, and its share of the bytes. The default is [`Detail::Auto`], with which
+    /// screens, pages and drawings may have an exact layer instead.
     #[must_use]
     pub fn detail(mut self, detail: Detail) -> Self {
         self.options.detail = detail;

@@ -18,7 +18,7 @@ impl MixedBlocks {
     /// They cost as much as others. Only the error counts, wherever it is.
     pub(super) const PLAIN: MixedBlocks = MixedBlocks { flat_range: ONE_VALUE, estimate: 1.0, price: 1.0 };
     /// For photographs, whose flat ground has some noise. docs/studies/ringing.md compares these values with others.
-    pub(super) const PHOTOGRAPH: MixedBlocks = MixedBlocks { flat_range: 4.0, estimate: 1.2, price: 1.2 };
+    pub(super) const PHOTOGRAPH: MixedBlocks = MixedBlocks { flat_range: 4.0, estimate: 1.15, price: 1.15 };
     /// For drawings. The estimate contributes 3.7 and 2.2 SSIMULACRA2 points to the gain of a screenshot and a page at a
     /// ratio of 100 from the parameters for drawings. With 1.6 and 2, diagrams lose 0.1 to 0.3 points.
     pub(super) const DRAWING: MixedBlocks = MixedBlocks { estimate: 1.3, ..MixedBlocks::PLAIN };

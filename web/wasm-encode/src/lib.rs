@@ -86,6 +86,7 @@ pub extern "C" fn set(which: u32, value: f64) -> u32 {
             8 => encoder.seed(value as u64),
             9 => encoder.detail(if value == 0.0 { Detail::Off } else { Detail::Auto }),
             10 => encoder.levels(value as u8),
+            11 => target(Target::Lossless),
             _ => {
                 desk.encoder = encoder;
                 return 0;
