@@ -203,7 +203,9 @@ fn page([width, height]: [u32; 2], has_photograph: bool) -> Pixels {
         } else {
             let glyph = (x / 9 * 31 + y / 16 * 17) % 61;
             let is_ink = x % 9 < 5 && y % 16 < 8 && (x % 9 * 5 + y % 16 * 3 + glyph) % 4 < 2;
-            let shade = shades[(glyph * 64 + y % 16 * 8 + x % 9 + x / 31 * 7) as usize % 4096];
+            // Letters repeat exactly beside a photograph, and in other shades otherwise.
+            let copy = if has_photograph { 0 } else { x / 31 * 7 };
+            let shade = shades[(glyph * 64 + y % 16 * 8 + x % 9 + copy) as usize % 4096];
             samples.extend(if is_ink { [shade, shade, shade / 2 + 20] } else { [255; 3] });
         }
     }
