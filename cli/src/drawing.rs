@@ -267,7 +267,10 @@ mod tests {
         assert!(length.starts_with("this picture is a drawing of 5 colours: a lossless PNG of it takes "), "{length}");
         assert_eq!(note(&drawing, 60, 50.0), None);
         let blurred = note(&drawing, 60, 25.04).unwrap();
-        assert!(blurred.contains("blurred (PSNR 25.0 dB): a lossless PNG of it takes "), "{blurred}");
+        assert!(
+            blurred.contains("blurred (PSNR 25.0 dB): --lossless keeps them, and a lossless PNG of it takes "),
+            "{blurred}"
+        );
         let noise = (0..128 * 96 * 3u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let noise = Pixels::new(128, 96, Channels::Rgb, Samples::U8(noise)).unwrap();
         assert_eq!(note(&noise, usize::MAX, 20.0), None);
