@@ -1,5 +1,6 @@
 //! Renders encoded pictures as a decoder would.
 
+use super::channels::widen;
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
 use crate::limits::Limits;
@@ -37,6 +38,13 @@ pub(super) fn check_renders(splats: &PackedSplats) -> Result<()> {
 /// Renders the picture within `view`.
 pub(super) fn drawn(splats: &PackedSplats, view: &View, depth: Depth) -> Result<Pixels> {
     splats.renderer(view, &own_limits())?.render(depth)
+}
+
+/// Renders the whole picture with the channels of `like`.
+pub(super) fn drawn_like(splats: &PackedSplats, like: &Pixels) -> Result<Pixels> {
+    let wide = (splats.channels != like.channels()).then(|| widen(splats, like.channels()));
+    let splats = wide.as_ref().unwrap_or(splats);
+    drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)
 }
 
 /// Renders a part of the picture, given as left, top, width and height in pixels.

@@ -48,7 +48,7 @@ pub(super) fn file(
     let splats = read(&encoded.bytes)?;
     let splats = if splats.channels == exact.channels { splats } else { widen(&splats, exact.channels) };
     let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;
-    Ok((file.bytes <= bytes).then_some(file))
+    Ok((file.bytes.len() as u64 <= bytes).then_some(file))
 }
 
 /// Returns the picture with covered pixels replaced by a smooth continuation of the others.

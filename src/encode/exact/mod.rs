@@ -14,8 +14,7 @@ use std::ops::ControlFlow;
 
 use self::mask::Cover;
 use self::survey::{Survey, equal_neighbours, finished, without_hidden};
-use super::channels::widen;
-use super::drawn::{drawn, own_limits};
+use super::drawn::{drawn_like, own_limits};
 use super::rate_control::picture_size;
 use super::report::ReportBuilder;
 #[cfg(feature = "quality-hook")]
@@ -32,7 +31,6 @@ use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Recipe, Thumbna
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
-use crate::raster::View;
 use crate::rect::Rect;
 use crate::round::size::Size;
 use crate::target::Target;
@@ -68,7 +66,11 @@ pub(super) fn lossless(
     }
     let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
     let survey = Survey::of(source, options, &mut report)?;
-    finish(Candidate::new(survey.into_file(options), 0)?, None, options, report)
+    let since = report.seconds();
+    report.stage_progress("exact layer", 0.0)?;
+    let exact = Candidate::new(survey.into_file(options), 0)?;
+    report.stage("exact layer", since);
+    finish(exact, None, options, report)
 }
 
 /// Returns whether the encoder should try an exact layer for the picture of `source`: its pixels are often equal to their
@@ -126,10 +128,13 @@ pub(super) fn encode(
         Cover::Some(mask) => Some(mask),
         Cover::Nothing => return encode_lossy(source, options, executor, progress),
     };
+    let since = report.seconds();
+    report.stage_progress("exact layer", 0.0)?;
     let exact = match (&goal, &mask) {
         (Goal::Bytes(bytes), Some(mask)) if mask.min_exact_bytes(&survey) > *bytes as f64 => None,
         _ => Some(Candidate::new(survey.file(survey.layer.clone(), options), 0)?),
     };
+    report.stage("exact layer", since);
     if exact.as_ref().is_some_and(|exact| goal.is_met_by_size(exact, options)) {
         return finish(exact.expect("it is met"), None, options, report);
     }
@@ -137,7 +142,7 @@ pub(super) fn encode(
     let near = match goal {
         Goal::Bytes(_) => near,
         // Without loss, every quality is reached.
-        _ => near.into_iter().chain(exact).min_by_key(|file| file.bytes),
+        _ => near.into_iter().chain(exact).min_by_key(|file| file.bytes.len()),
     };
     let seconds = report.seconds();
     let time = options.time.map(|time| time.mul_f64((1.0 - seconds / time.as_secs_f64()).max(MIN_TIME)));
@@ -172,14 +177,16 @@ fn lossy(
         return Ok((own? <= other?).then_some(lossy));
     }
     // One fit shows whether a search can find a smaller file.
-    let same_size = EncodeOptions { target: Target::Bytes(near.bytes), icc: None, exif: None, ..options.clone() };
+    let same_size =
+        EncodeOptions { target: Target::Bytes(near.bytes.len() as u64), icc: None, exif: None, ..options.clone() };
     let same_size = EncodeOptions { thumbnail: Thumbnail::Never, ..same_size };
     let first = encode_lossy(source, &same_size, Executor::Own, progress)?;
     if !goal.is_met(pixels, &read(&first.bytes)?)? {
         return Ok(None);
     }
     let lossy = encode_lossy(source, options, executor, progress)?;
-    Ok((picture_bytes(&lossy.bytes)? < near.bytes).then_some(lossy))
+    let plain = PackedSplats { metadata: Metadata::default(), ..read(&lossy.bytes)? };
+    Ok((to_bytes(&plain)?.len() < near.bytes.len()).then_some(lossy))
 }
 
 /// Returns the integers of a file.
@@ -187,23 +194,10 @@ fn read(bytes: &[u8]) -> Result<PackedSplats> {
     bitstream::read(bytes, &own_limits())
 }
 
-/// Returns the size of a file without its metadata, bytes.
-fn picture_bytes(file: &[u8]) -> Result<u64> {
-    let splats = PackedSplats { metadata: Metadata::default(), ..read(file)? };
-    Ok(to_bytes(&splats)?.len() as u64)
-}
-
-/// Renders a file as pixels like those of `like`.
-fn rendered(splats: &PackedSplats, like: &Pixels) -> Result<Pixels> {
-    let wide = (splats.channels != like.channels()).then(|| widen(splats, like.channels()));
-    let splats = wide.as_ref().unwrap_or(splats);
-    drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)
-}
-
 /// Returns how much a file differs from the picture: by PSNR if the options ask for it, otherwise by MS-SSIM, and for
 /// small pictures by SSIM or PSNR.
 fn dissimilarity(pixels: &Pixels, splats: &PackedSplats, options: &EncodeOptions) -> Result<f64> {
-    let rendered = rendered(splats, pixels)?;
+    let rendered = drawn_like(splats, pixels)?;
     if options.favoured() == Tune::Psnr {
         return metrics::psnr(pixels, &rendered).map(|psnr| -psnr);
     }
@@ -217,15 +211,15 @@ fn dissimilarity(pixels: &Pixels, splats: &PackedSplats, options: &EncodeOptions
 /// A file, without its metadata and thumbnail.
 struct Candidate {
     splats: PackedSplats,
-    /// Its size.
-    bytes: u64,
+    /// The file.
+    bytes: Vec<u8>,
     /// Tolerance of the colours in the exact layer, 8-bit code values.
     tolerance: u32,
 }
 
 impl Candidate {
     fn new(splats: PackedSplats, tolerance: u32) -> Result<Candidate> {
-        let bytes = to_bytes(&splats)?.len() as u64;
+        let bytes = to_bytes(&splats)?;
         Ok(Candidate { splats, bytes, tolerance })
     }
 }
@@ -253,17 +247,17 @@ impl Goal {
         }
     }
 
-    /// Returns the bytes for the picture in a file of `bytes`, next to a thumbnail.
+    /// Returns whether a size is requested into which a file and its thumbnail fit.
     fn is_met_by_size(&self, file: &Candidate, options: &EncodeOptions) -> bool {
         let size = [file.splats.width, file.splats.height];
-        matches!(*self, Goal::Bytes(bytes) if file.bytes + thumbnail::reserved(options, size, bytes) <= bytes)
+        matches!(*self, Goal::Bytes(bytes) if file.bytes.len() as u64 + thumbnail::reserved(options, size, bytes) <= bytes)
     }
 
     /// Returns whether a file reaches the goal, other than a size.
     fn is_met(&self, pixels: &Pixels, splats: &PackedSplats) -> Result<bool> {
         Ok(match *self {
             Goal::Bytes(_) => true,
-            Goal::Psnr(psnr) => metrics::psnr(pixels, &rendered(splats, pixels)?)? >= psnr,
+            Goal::Psnr(psnr) => metrics::psnr(pixels, &drawn_like(splats, pixels)?)? >= psnr,
             #[cfg(feature = "quality-hook")]
             Goal::Quality(quality) => score(pixels, splats)? >= quality,
         })
@@ -278,9 +272,9 @@ fn finish(
     options: &EncodeOptions,
     mut report: ReportBuilder<'_>,
 ) -> Result<Encoded> {
-    let (splats, bytes) = finished(candidate.splats, options, &mut report)?;
+    let (splats, bytes) = finished(candidate.splats, candidate.bytes, options, &mut report)?;
     let psnr = match pixels {
-        Some(pixels) => metrics::psnr(pixels, &rendered(&splats, pixels)?)?,
+        Some(pixels) => metrics::psnr(pixels, &drawn_like(&splats, pixels)?)?,
         None => f64::INFINITY,
     };
     if options.target != Target::Lossless {

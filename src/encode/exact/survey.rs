@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::bitstream::exact::{self, ExactTile};
-use crate::bitstream::splats::PackedSplats;
+use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::bitstream::{ExactLayer, to_bytes};
 use crate::encode::drawn::check_opens;
 use crate::encode::hidden::hides_colors;
@@ -102,23 +102,25 @@ impl Survey {
     }
 }
 
-/// Adds metadata and a thumbnail to a file, and returns its bytes.
+/// Adds metadata and a thumbnail to a file, of which `bytes` has neither, and returns its bytes.
 ///
 /// # Errors
 /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if decoders with default limits would refuse the file, and
 /// [`Error::Cancelled`](crate::Error::Cancelled).
 pub(super) fn finished(
     mut splats: PackedSplats,
+    mut bytes: Vec<u8>,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<(PackedSplats, Vec<u8>)> {
-    (splats.metadata.icc, splats.metadata.exif) = (options.icc.clone(), options.exif.clone());
-    let since = report.seconds();
-    report.stage_progress("exact layer", 0.0)?;
-    let mut bytes = to_bytes(&splats)?;
-    report.stage("exact layer", since);
-    if let Some(small) = thumbnail::for_file(&splats, bytes.len() as u64, options, report)? {
-        splats.metadata.thumbnail = Some(small);
+    let metadata = Metadata {
+        thumbnail: thumbnail::for_file(&splats, bytes.len() as u64, options, report)?,
+        icc: options.icc.clone(),
+        exif: options.exif.clone(),
+        ..Metadata::default()
+    };
+    if metadata != Metadata::default() {
+        splats.metadata = metadata;
         bytes = to_bytes(&splats)?;
     }
     check_opens(&splats)?;
