@@ -2,7 +2,7 @@
 
 Results are cached in a folder, so that an interrupted command can be continued.
 """
-import bisect, dataclasses, hashlib, json, math, os, pathlib, statistics, subprocess, sys, tempfile, time
+import bisect, dataclasses, hashlib, json, math, os, pathlib, shlex, statistics, subprocess, sys, tempfile, time
 
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
@@ -30,6 +30,20 @@ def run(command, variables={}):
         if status:
             sys.exit(f"{' '.join(map(str, command))}: {err.read().decode()}")
         return out.read().decode(), seconds, kilobytes / 1024
+
+
+def programs(texts):
+    """Returns the path, the options, the environment variables and the hash of each program, by name. A text is
+    NAME=PROGRAM, with options after the program and variables before it."""
+    found = {}
+    for text in texts:
+        name, _, command = text.partition("=")
+        words = shlex.split(command)
+        variables = dict(word.split("=", 1) for word in words if "=" in word.split("/")[0])
+        path, *options = words[len(variables):]
+        program = pathlib.Path(path).resolve()
+        found[name] = (program, options, variables, hashlib.sha256(program.read_bytes()).hexdigest()[:16])
+    return found
 
 
 def mean(values):

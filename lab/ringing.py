@@ -14,13 +14,13 @@ PICTURES contains one folder for each set in lab/sets.json; sets that are not in
 own options and environment variables, as in lab/sets.py. Results are cached in --cache. For each set and ratio, the command
 prints the means of every program, and its gains over the first. Needs numpy, opencv-python-headless and Pillow 12 or newer.
 """
-import argparse, hashlib, io, json, os, pathlib, shlex, tempfile
+import argparse, io, json, os, pathlib, shlex, tempfile
 
 import cv2
 import numpy
 from PIL import Image
 
-from other_codecs import Cache, mean, measured, run
+from other_codecs import Cache, mean, measured, programs, run
 
 root = pathlib.Path(__file__).resolve().parent.parent
 # Pixels of flat ground below which a picture has no percentile.
@@ -54,14 +54,7 @@ def ringing(original, made):
 
 class Lab:
     def __init__(self, args):
-        self.args, self.cache, self.programs = args, Cache(args.cache), {}
-        for text in args.programs:
-            name, _, command = text.partition("=")
-            words = shlex.split(command)
-            variables = dict(word.split("=", 1) for word in words if "=" in word.split("/")[0])
-            path, *options = words[len(variables):]
-            program = pathlib.Path(path).resolve()
-            self.programs[name] = (program, options, variables, hashlib.sha256(program.read_bytes()).hexdigest()[:16])
+        self.args, self.cache, self.programs = args, Cache(args.cache), programs(args.programs)
         self.measure = next(iter(self.programs.values()))[0]
         (args.cache / "pixels").mkdir(exist_ok=True)
 

@@ -25,10 +25,10 @@ the results. lab/fit_division.py fits the constants of src/encode/layer/division
 XL (effort 7) and WebP (method 6). The chart is written if all four of its sets are measured. --efforts writes the table of
 encoding times, alone or with --page. Both need Pillow 12 or newer and the package pillow-jxl-plugin.
 """
-import argparse, csv, hashlib, json, os, pathlib, shlex, tempfile
+import argparse, csv, json, os, pathlib, shlex, tempfile
 
 import set_tables
-from other_codecs import MEASURES, Cache, Files, at, avif, mean, measured, run
+from other_codecs import MEASURES, Cache, Files, at, avif, mean, measured, programs, run
 from set_tables import leads, stem_of
 
 root = pathlib.Path(__file__).resolve().parent.parent
@@ -67,14 +67,7 @@ def arguments():
 class Lab:
     def __init__(self, args):
         self.args = args
-        self.programs = {}
-        for text in args.programs:
-            name, _, command = text.partition("=")
-            words = shlex.split(command)
-            variables = dict(word.split("=", 1) for word in words if "=" in word.split("/")[0])
-            path, *options = words[len(variables):]
-            program = pathlib.Path(path).resolve()
-            self.programs[name] = (program, options, variables, hashlib.sha256(program.read_bytes()).hexdigest()[:16])
+        self.programs = programs(args.programs)
         self.measure = next(iter(self.programs.values()))[0]
         self.cache = Cache(args.cache)
         (args.cache / "pixels").mkdir(exist_ok=True)
