@@ -271,6 +271,42 @@ fn a_photograph_in_a_page_is_left_to_gaussians_and_the_detail_layer() {
     assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
 }
 
+/// Returns a dithered gradient with cards of letters, as browsers draw them.
+fn cards([width, height]: [u32; 2]) -> Pixels {
+    let letters = page([width, height], false);
+    let mut samples = bytes_of(&letters).to_vec();
+    for (at, pixel) in (0u32..).zip(samples.chunks_exact_mut(3)) {
+        let [x, y] = [at % width, at / width];
+        if y % 100 < 60 || !(40..width - 40).contains(&x) {
+            let threshold = (x % 4 * 5 + y % 4 * 7) % 16;
+            let level = |slope: u32| ((2400 + (x + 2 * y) * slope / 8 + threshold) / 16) as u8;
+            pixel.copy_from_slice(&[level(5), level(7), level(10)]);
+        }
+    }
+    Pixels::new(width, height, Channels::Rgb, Samples::U8(samples)).unwrap()
+}
+
+#[test]
+fn letters_beside_a_dithered_gradient_have_the_exact_layer() {
+    let size = [400, 300];
+    let pixels = cards(size);
+    let encoded = Encoder::new().ratio(60.0).effort(1).encode(&pixels).unwrap();
+    let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+    let layer = splats.exact.as_ref().expect("an exact layer");
+    // Whether a cell in the middle of the first card is covered, and that there is one for every 64 pixels.
+    let cells = layer.cells(size);
+    assert!(cells[(80 / 8) * 50 + 200 / 8] && cells.len() == 50 * 38);
+    let decoded = Decoder::new().decode(&encoded.bytes).unwrap().pixels;
+    let ground = |pixels: &Pixels| {
+        let at = (85 * 400 + 60) * 3;
+        bytes_of(pixels)[at..][..3].to_vec()
+    };
+    assert_eq!(ground(&decoded), ground(&pixels));
+    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(1).detail(Detail::Share(0.4));
+    let without = without.encode(&pixels).unwrap().report.psnr;
+    assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
+}
+
 #[test]
 fn a_psnr_that_near_colours_reach_takes_fewer_bytes_than_no_loss() {
     let pixels = page([240, 200], false);

@@ -62,7 +62,7 @@ export class Machine {
       }
       if (kind) throw new SsplatError(kinds[kind], kinds[kind] == "format" && otherKind(bytes) || new TextDecoder().decode(piece(0)))
       const numbers = Array.from({ length: 9 }, (_, k) => wasm.number(k) >>> 0)
-      return [[piece(0, options.into), piece(1), piece(2), piece(3)], numbers]
+      return [[piece(0, options.into), piece(1), piece(2), piece(3), piece(4)], numbers]
     } catch (error) {
       if (error instanceof SsplatError) throw error
       // A trap leaves the machine in an unknown state. The most likely cause is that memory ran out.
@@ -103,9 +103,9 @@ export class Machine {
   }
 
   info(bytes, options = {}) {
-    const [[json, icc, exif, each], numbers] = this.#ask(bytes, options, "info")
+    const [[json, icc, exif, each, cells], numbers] = this.#ask(bytes, options, "info")
     const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
     const [detail, exact] = [/detail layer/, /exact layer/].map(layer => facts.parts.reduce((sum, { name, bytes }) => layer.test(name) ? sum + bytes : sum, 0))
-    return { ...facts, detail, exact, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
+    return { ...facts, detail, exact, fields, each: new Float32Array(each.buffer), cells, orientation: numbers[5], icc, exif }
   }
 }

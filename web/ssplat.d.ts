@@ -122,6 +122,8 @@ export interface Info {
   fields: { name: string; bits: number }[]
   /** Bits of each Gaussian, in the order of `gaussians`; empty in layouts where all have the same size. */
   each: Float32Array
+  /** Which cells of 8 × 8 pixels the exact layer covers, row by row: 1 or 0 each; empty without an exact layer. */
+  cells: Uint8Array
   orientation: number
   icc: Uint8Array
   exif: Uint8Array

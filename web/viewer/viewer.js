@@ -7,6 +7,7 @@ import { Camera, times } from "./camera.js"
 import { facts, size, summary } from "./facts.js"
 import { found, isOurs, isPicture } from "./found.js"
 import { ellipses as drawEllipses, errorsOf, tonesOfBits, tonesOfErrors } from "./gaussians.js"
+import { Mask } from "./mask.js"
 import { Maker } from "./maker.js"
 import { Splatting } from "./splatting.js"
 import { WebGpuSplatting } from "./webgpu.js"
@@ -25,6 +26,8 @@ let shape
 let tones = {}
 // The renderer on the graphics device; undefined if there is none, and until it is found.
 let device
+// Which part of the picture the exact layer covers; undefined without that layer.
+let mask
 // The last decoded view: a canvas and the part of the picture that it shows.
 let drawn
 let busy = false, stale = false
@@ -101,6 +104,7 @@ async function open(bytes, name, made, originalBytes) {
     if (!made) maker?.leave()
     ;[file, info, all] = [bytes, read, gaussians]
     tones = info.each.length ? { bits: tonesOfBits(info.each) } : {}
+    mask = info.cells.length ? new Mask(info) : undefined
     device?.load(all, info.blend, colorSpace(info.icc))
     const { width, height, channels } = info
     occupy({ width, height, alpha: channels % 2 == 0 }, name)
@@ -151,6 +155,7 @@ function offer() {
   get("compare").ariaPressed = String(!!original)
   get("tones").hidden = !pressed("ellipses")
   get("layers").hidden = !hasLayers()
+  get("mask").hidden = !mask
   const ends = { bits: ["few bits", "many"], error: ["small error", "large"] }[chosen("colours")]
   get("legend").hidden = !ends
   ;[get("least").textContent, get("most").textContent] = ends ?? ["", ""]
@@ -183,7 +188,7 @@ function show() {
   if (!shape) return
   get("zoom").textContent = times(camera.zoom)
   const part = { file: "the file", both: "the file beside its original", original: "the original" }[!info ? "original" : original ? chosen("sides") : "file"]
-  get("status").textContent = `${get("name").textContent}, ${part} at ${times(camera.zoom)}${pressed("ellipses") ? ", with Gaussians" : ""}`
+  get("status").textContent = `${get("name").textContent}, ${part} at ${times(camera.zoom)}${pressed("ellipses") ? ", with Gaussians" : ""}${mask && pressed("mask") ? ", exact part marked" : ""}`
   get("border").hidden = !info || !original || chosen("sides") != "both"
   get("border").style.left = `${border}%`
   get("border").ariaValueNow = String(Math.round(border))
@@ -246,6 +251,7 @@ function paint() {
   }
   const marks = overlay.getContext("2d")
   marks.clearRect(0, 0, overlay.width, overlay.height)
+  if (info && pressed("mask")) mask?.draw(marks, place())
   if (info && pressed("ellipses")) drawEllipses(marks, all, place(), devicePixelRatio, tones[chosen("colours")])
   if (byDevice) stage.dispatchEvent(new Event("drawn"))
   else redraw()
@@ -281,9 +287,9 @@ async function redraw() {
   }
 }
 
-function toggle() {
+function toggle(id) {
   if (!info) return
-  get("ellipses").ariaPressed = String(!pressed("ellipses"))
+  get(id).ariaPressed = String(!pressed(id))
   offer()
 }
 // Selects the next available choice.
@@ -336,7 +342,7 @@ function label(ours = "", theirs = "") {
 // The interface of this page for the maker. The page of one file has no encoder.
 const maker = get("held-file") ? undefined : new Maker({
   stage(bitmap, name, alpha) {
-    ;[file, info, all, drawn] = []
+    ;[file, info, all, mask, drawn] = []
     for (const id of ["ellipses", "facts"]) get(id).disabled = true
     get("ellipses").ariaPressed = "false"
     occupy({ width: bitmap.width, height: bitmap.height, alpha }, name)
@@ -362,7 +368,8 @@ const keys = [
   [["←", "→", "↑", "↓"], "move", { ArrowLeft: () => camera.move(64, 0), ArrowRight: () => camera.move(-64, 0), ArrowUp: () => camera.move(0, 64), ArrowDown: () => camera.move(0, -64) }],
   [["0"], "fit the window", { 0: () => camera.fit() }],
   [["1"], "actual size", { 1: () => camera.actual() }],
-  [["G"], "Gaussians as ellipses", { g: toggle }],
+  [["G"], "Gaussians as ellipses", { g: () => toggle("ellipses") }],
+  [["M"], "mark the part of the picture that is stored without loss", { m: () => mask && toggle("mask") }],
   [["L"], "cycle through picture, Gaussians and detail", { l: () => hasLayers() && next("layers") }],
   [["C"], "colour Gaussians by colour, bits or error", { c: () => pressed("ellipses") && next("colours") }],
   [["X"], "switch between the file and its original", { x: flip }],
@@ -391,7 +398,7 @@ addEventListener("keydown", event => {
   deed()
 })
 
-for (const [id, deed] of Object.entries({ open: () => get("file").click(), choose: () => get("file").click(), another: () => get("file").click(), dismiss, ellipses: toggle, fit: () => camera.fit(), in: () => camera.zoomBy(1.5), out: () => camera.zoomBy(1 / 1.5), facts: () => panel(), settings: () => tuck(!get("maker").hidden), fold: () => tuck(true), "help-button": () => get("help").showModal() })) get(id).onclick = deed
+for (const [id, deed] of Object.entries({ open: () => get("file").click(), choose: () => get("file").click(), another: () => get("file").click(), dismiss, ellipses: () => toggle("ellipses"), mask: () => toggle("mask"), fit: () => camera.fit(), in: () => camera.zoomBy(1.5), out: () => camera.zoomBy(1 / 1.5), facts: () => panel(), settings: () => tuck(!get("maker").hidden), fold: () => tuck(true), "help-button": () => get("help").showModal() })) get(id).onclick = deed
 get("compare").onclick = () => original ? compareWith(undefined) : get("original").click()
 get("zoom").onclick = () => camera.fitted ? camera.actual() : camera.fit()
 for (const choice of document.querySelectorAll(".choices input")) choice.onchange = offer

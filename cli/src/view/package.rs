@@ -31,6 +31,7 @@ pub const MODULES: &[(&str, &str)] = sources![
     "viewer/found.js",
     "viewer/gaussians.js",
     "viewer/maker.js",
+    "viewer/mask.js",
     "viewer/picture.js",
     "viewer/scene.js",
     "viewer/splatting.js",

@@ -14,6 +14,10 @@ mod mask;
 pub(crate) mod near;
 pub(crate) mod tile;
 
+#[cfg(any(test, feature = "unstable"))]
+use self::tile::Shape;
+#[cfg(any(test, feature = "unstable"))]
+use crate::error::Result;
 use crate::gaussian::Channels;
 #[cfg(any(test, feature = "unstable"))]
 use crate::pixels::Pixels;
@@ -82,15 +86,31 @@ impl ExactLayer {
     #[must_use]
     #[cfg(any(test, feature = "unstable"))]
     pub fn covered(&self, size: [u32; 2]) -> u64 {
-        let pixels = |(i, tile): (usize, &Option<ExactTile>)| {
-            let [_, _, width, height] = tile_area(size, self.side, i);
-            let tile = tile.as_ref()?;
-            let Some(cells) = &tile.cells else { return Some((width * height) as u64) };
-            let across = width.div_ceil(CELL);
-            let cell = |k: usize| CELL.min(width - k % across * CELL) * CELL.min(height - k / across * CELL);
-            Some((0..cells.len()).filter(|&k| cells[k]).map(|k| cell(k) as u64).sum())
-        };
-        self.tiles.iter().enumerate().filter_map(pixels).sum()
+        let [width, height] = size.map(|length| length as usize);
+        let across = width.div_ceil(CELL);
+        let cell = |k: usize| CELL.min(width - k % across * CELL) * CELL.min(height - k / across * CELL);
+        self.cells(size).iter().enumerate().filter(|&(_, &is_covered)| is_covered).map(|(k, _)| cell(k) as u64).sum()
+    }
+
+    /// Returns which cells of 8 x 8 pixels the layer covers, row by row, of a picture of this size.
+    #[must_use]
+    #[cfg(any(test, feature = "unstable"))]
+    pub fn cells(&self, size: [u32; 2]) -> Vec<bool> {
+        let [across, down] = size.map(|length| (length as usize).div_ceil(CELL));
+        let mut all = vec![false; across * down];
+        for (i, tile) in self.tiles.iter().enumerate() {
+            let Some(tile) = tile else { continue };
+            let [left, top, width, height] = tile_area(size, self.side, i);
+            let columns = width.div_ceil(CELL);
+            for y in 0..height.div_ceil(CELL) {
+                let row = &mut all[(top / CELL + y) * across + left / CELL..][..columns];
+                match &tile.cells {
+                    Some(cells) => row.copy_from_slice(&cells[y * columns..][..columns]),
+                    None => row.fill(true),
+                }
+            }
+        }
+        all
     }
 
     /// Returns whether the layer belongs to a picture of this size with these channels and this depth.
@@ -143,6 +163,36 @@ impl ExactLayer {
             cells.contains(&true).then(|| ExactTile { samples, cells: (!is_whole).then_some(cells) })
         };
         ExactLayer { side, tiles: (0..across * down).map(tile).collect() }
+    }
+
+    /// Reads the stream of a tile that is a whole picture, with at most `most_work` work.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Format`](crate::Error::Format) if the stream is invalid, and
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if it takes more work.
+    pub fn from_stream(
+        stream: &[u8],
+        size: [u32; 2],
+        channels: Channels,
+        depth: Depth,
+        most_work: u64,
+    ) -> Result<Self> {
+        let shape = Shape { size: size.map(|length| length as usize), channels, depth };
+        let (tile, _) = tile::read(stream, &shape, most_work)?;
+        let side = size[0].max(size[1]).next_power_of_two().ilog2().clamp(5, 11) as u8;
+        Ok(ExactLayer { side, tiles: vec![Some(tile)] })
+    }
+
+    /// Returns the stream of the first tile, which is a whole picture.
+    ///
+    /// # Panics
+    ///
+    /// If the layer does not cover the tile.
+    #[must_use]
+    pub fn to_stream(&self, size: [u32; 2], channels: Channels, depth: Depth) -> Vec<u8> {
+        let shape = Shape { size: size.map(|length| length as usize), channels, depth };
+        tile::write(self.tiles[0].as_ref().expect("a covered tile"), &shape)
     }
 
     /// Returns the samples of a pixel, 1 is white, if the layer covers it. Unused channels are 0.

@@ -32,6 +32,7 @@ pub(super) fn file(
     let layer = to_bytes(&exact)?.len() - to_bytes(&PackedSplats { exact: None, ..exact.clone() })?.len();
     let Some(room) = bytes.checked_sub(layer as u64) else { return Ok(None) };
     let filled = continued(pixels, mask, report)?;
+    let since = report.seconds();
     let options = EncodeOptions {
         target: Target::Bytes(room),
         detail: if room >= MIN_LAYER_BYTES { Detail::Share(BASE_SHARE) } else { Detail::Off },
@@ -45,6 +46,7 @@ pub(super) fn file(
         Err(Error::TooSmall { .. }) => return Ok(None),
         Err(error) => return Err(error),
     };
+    report.stage("photographs", since);
     let splats = read(&encoded.bytes)?;
     let splats = if splats.channels == exact.channels { splats } else { widen(&splats, exact.channels) };
     let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;

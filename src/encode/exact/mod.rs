@@ -13,7 +13,7 @@ mod survey;
 use std::ops::ControlFlow;
 
 use self::mask::Cover;
-use self::survey::{Survey, equal_neighbours, finished, without_hidden};
+use self::survey::{Survey, equal_neighbours, finished, sharp_edges, without_hidden};
 use super::drawn::{drawn_like, own_limits};
 use super::rate_control::picture_size;
 use super::report::ReportBuilder;
@@ -33,6 +33,7 @@ use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::rect::Rect;
 use crate::round::size::Size;
+use crate::strict_math::StrictMath;
 use crate::target::Target;
 
 /// Number of pairs of rows that are looked at to see whether a picture repeats itself.
@@ -44,9 +45,17 @@ const MAX_TRIED_PIXELS: u64 = 1 << 25;
 const MIN_EQUAL: f64 = 0.35;
 /// Minimum share of these that equal both. Screens, pages and drawings have .69 to .98, and photographs .18 to .58.
 const MIN_BOTH_EQUAL: f64 = 0.65;
+/// Minimum share of pixels with [sharp edges](sharp_edges) in any other picture for which the layer is tried: a page or
+/// screen whose gradients are dithered, or with many photographs. They have 0.002 to 0.005, and photographs less than
+/// 0.0007.
+const MIN_EDGES: f64 = 0.0018;
 /// Largest tolerance of colours with which a file is taken without comparing it with one of Gaussians and a detail layer.
 /// In the worst case that was found, the latter has .2 SSIMULACRA2 points more.
 const MAX_SURE_TOLERANCE: u32 = 2;
+/// Effort of the first file of Gaussians and a detail layer that is compared with near colours.
+const QUICK_EFFORT: u8 = 1;
+/// What a higher effort can gain at most, in decibels: of MS-SSIM or PSNR.
+const MAX_GAIN: f64 = 2.0;
 /// Minimum share of the time limit that remains for Gaussians and the detail layer.
 const MIN_TIME: f64 = 0.05;
 
@@ -92,7 +101,7 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
         return Ok(false);
     }
     let pairs = SAMPLED_PAIRS.min(height / 2);
-    let (mut either, mut both, mut pixels) = (0, 0, 0u64);
+    let (mut either, mut both, mut edges, mut pixels) = (0, 0, 0, 0u64);
     for i in 0..pairs {
         let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
         let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
@@ -100,9 +109,11 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
         let equal = equal_neighbours(&rows);
         either += equal.iter().filter(|&&[left, above]| left || above).count();
         both += equal.iter().filter(|&&[left, above]| left && above).count();
+        edges += sharp_edges(&rows, &equal);
         pixels += u64::from(width);
     }
-    Ok(either as f64 >= MIN_EQUAL * pixels as f64 && both as f64 >= MIN_BOTH_EQUAL * either as f64)
+    let is_repeated = either as f64 >= MIN_EQUAL * pixels as f64 && both as f64 >= MIN_BOTH_EQUAL * either as f64;
+    Ok(is_repeated || edges as f64 >= MIN_EDGES * pixels as f64)
 }
 
 /// Encodes a picture for which an exact layer [is worth trying](is_worth_trying): without loss, with near colours, or
@@ -144,21 +155,19 @@ pub(super) fn encode(
         // Without loss, every quality is reached.
         _ => near.into_iter().chain(exact).min_by_key(|file| file.bytes.len()),
     };
-    let seconds = report.seconds();
-    let time = options.time.map(|time| time.mul_f64((1.0 - seconds / time.as_secs_f64()).max(MIN_TIME)));
+    let time = options.time.map(|time| time.mul_f64((1.0 - report.seconds() / time.as_secs_f64()).max(MIN_TIME)));
     let lossy_options = EncodeOptions { time, ..options.clone() };
-    let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, progress) };
+    let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, report.progress) };
     if near.tolerance > MAX_SURE_TOLERANCE || !matches!(goal, Goal::Bytes(_)) {
-        match lossy(source, &pixels, &near, &goal, &lossy_options, executor, progress) {
+        let since = report.seconds();
+        match lossy(source, &pixels, &near, &goal, &lossy_options, executor, &mut report) {
             Ok(Some(lossy)) => return Ok(lossy),
             Ok(None) | Err(Error::TooSmall { .. } | Error::LimitExceeded { .. }) => {}
             Err(error) => return Err(error),
         }
+        report.stage("comparison with Gaussians", since);
     }
-    let report = ReportBuilder::new(progress, Tracer::new(options.trace));
-    let mut encoded = finish(near, Some(&pixels), options, report)?;
-    encoded.report.seconds += seconds;
-    Ok(encoded)
+    finish(near, Some(&pixels), options, report)
 }
 
 /// Encodes the picture of `source` with Gaussians and a detail layer. Returns `None` if `near` is better.
@@ -169,12 +178,22 @@ fn lossy(
     goal: &Goal,
     options: &EncodeOptions,
     executor: Executor<'_>,
-    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Encoded>> {
+    let progress = &mut *report.progress;
     if let Goal::Bytes(_) = goal {
+        let other = dissimilarity(pixels, &near.splats, options)?;
+        if options.effort > QUICK_EFFORT {
+            let quick = EncodeOptions { effort: QUICK_EFFORT, ..options.clone() };
+            let quick = encode_lossy(source, &quick, Executor::Own, progress)?;
+            let quick = dissimilarity(pixels, &read(&quick.bytes)?, options)?;
+            if quick > other + MAX_GAIN {
+                return Ok(None);
+            }
+        }
         let lossy = encode_lossy(source, options, executor, progress)?;
-        let [own, other] = [&read(&lossy.bytes)?, &near.splats].map(|splats| dissimilarity(pixels, splats, options));
-        return Ok((own? <= other?).then_some(lossy));
+        let own = dissimilarity(pixels, &read(&lossy.bytes)?, options)?;
+        return Ok((own <= other).then_some(lossy));
     }
     // One fit shows whether a search can find a smaller file.
     let same_size =
@@ -194,8 +213,8 @@ fn read(bytes: &[u8]) -> Result<PackedSplats> {
     bitstream::read(bytes, &own_limits())
 }
 
-/// Returns how much a file differs from the picture: by PSNR if the options ask for it, otherwise by MS-SSIM, and for
-/// small pictures by SSIM or PSNR.
+/// Returns how much a file differs from the picture, in decibels: by PSNR if the options ask for it, otherwise by
+/// MS-SSIM, and for small pictures by SSIM or PSNR.
 fn dissimilarity(pixels: &Pixels, splats: &PackedSplats, options: &EncodeOptions) -> Result<f64> {
     let rendered = drawn_like(splats, pixels)?;
     if options.favoured() == Tune::Psnr {
@@ -203,7 +222,7 @@ fn dissimilarity(pixels: &Pixels, splats: &PackedSplats, options: &EncodeOptions
     }
     let found = metrics::compare(pixels, &rendered)?;
     Ok(match found.ms_ssim.or(found.ssim) {
-        Some(similarity) => 1.0 - similarity,
+        Some(similarity) => 10.0 * (1.0 - similarity).strict_log10(),
         None => -found.psnr,
     })
 }

@@ -13,11 +13,16 @@ use crate::error::Result;
 use crate::options::EncodeOptions;
 use crate::parallel;
 use crate::pixels::Pixels;
+use crate::strict_math::StrictMath;
 
 /// Largest tolerance, in 8-bit code values. With larger ones, letters lose their shape.
 const MAX_TOLERANCE: u32 = 48;
 /// Tolerance of the first try.
 const FIRST_TOLERANCE: u32 = 8;
+/// Power of the tolerance with which the bytes fall, before two tries show it.
+const FALL: f64 = 0.5;
+/// Minimum share of the room that a layer fills with which the search ends. A smaller tolerance would gain little.
+const MIN_FILLED: f64 = 0.97;
 /// Bytes that the parts of a file take besides the streams of the exact layer.
 const FILE_BYTES: u64 = 48;
 
@@ -69,25 +74,33 @@ fn fitting(
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<(ExactLayer, u32)>> {
     let room = bytes.saturating_sub(FILE_BYTES) as f64;
+    // The largest tolerance that does not fit, and the smallest that does.
     let (mut too_small, mut best) = (0, None::<(ExactLayer, u32)>);
-    let mut next = FIRST_TOLERANCE;
+    let (mut next, mut last, mut power) = (FIRST_TOLERANCE, None::<[f64; 2]>, FALL);
     loop {
         report.stage_progress("exact layer", too_small as f32 / MAX_TOLERANCE as f32)?;
         let tried = approximated(survey, layer, next);
-        let rest = mask.map_or(0.0, |mask| mask.transform_bytes(next as f32));
-        if tried.bytes + rest <= room {
+        let bytes = tried.bytes + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32));
+        let logs = [f64::from(next), bytes / room].map(|v| v.strict_ln());
+        if bytes <= room {
             best = Some((tried.layer, next));
+            if bytes >= MIN_FILLED * room {
+                return Ok(best);
+            }
         } else {
             too_small = next;
         }
-        next = match &best {
-            // Geometric means, because quality depends on the logarithm.
-            Some((_, fits)) => ((f64::from(*fits) * f64::from(too_small.max(1))).sqrt() as u32).max(too_small + 1),
-            None => (2 * too_small).min(MAX_TOLERANCE),
-        };
-        if best.as_ref().is_some_and(|(_, fits)| next >= *fits) || too_small == MAX_TOLERANCE {
+        let fits = best.as_ref().map_or(MAX_TOLERANCE + 1, |&(_, fits)| fits);
+        if too_small + 1 >= fits {
             return Ok(best);
         }
+        // The bytes fall with a power of the tolerance, which is that between the last two tries.
+        if let Some([tolerance, bytes]) = last {
+            power = ((bytes - logs[1]) / (logs[0] - tolerance)).clamp(FALL / 4.0, 4.0 * FALL);
+        }
+        last = Some(logs);
+        let wanted = (logs[0] + logs[1] / power).strict_exp().ceil();
+        next = (wanted.min(f64::from(MAX_TOLERANCE)) as u32).clamp(too_small + 1, fits - 1);
     }
 }
 

@@ -196,6 +196,36 @@ pub(super) fn equal_neighbours(rows: &Pixels) -> Vec<[bool; 2]> {
     }
 }
 
+/// Returns the number of sharp edges after runs of equal pixels in the second of two rows. `equal` is what
+/// [`equal_neighbours`] returns for them.
+pub(super) fn sharp_edges(rows: &Pixels, equal: &[[bool; 2]]) -> usize {
+    /// Minimum number of equal pixels before an edge.
+    const RUN: usize = 4;
+    /// Minimum difference of luma within two pixels, of the range of sample values.
+    const MIN_DIFFERENCE: f32 = 0.16;
+    let (count, width) = (rows.channels().count(), equal.len());
+    let value = |i: usize| match rows.samples() {
+        Samples::U8(v) => f32::from(v[i]) / 255.0,
+        Samples::U16(v) => f32::from(v[i]) / 65_535.0,
+    };
+    let luma = |x: usize| {
+        let at = (width + x) * count;
+        if count < 3 { value(at) } else { 0.25 * (value(at) + value(at + 2)) + 0.5 * value(at + 1) }
+    };
+    let (mut run, mut edges) = (1, 0);
+    for x in 1..width {
+        if equal[x][0] {
+            run += 1;
+            continue;
+        }
+        let ground = luma(x - 1);
+        let difference = (luma(x) - ground).abs().max((luma((x + 1).min(width - 1)) - ground).abs());
+        edges += usize::from(run >= RUN && difference >= MIN_DIFFERENCE);
+        run = 1;
+    }
+    edges
+}
+
 /// Returns a picture whose colours under alpha 0 are black, which costs the fewest bytes.
 pub(super) fn without_hidden(pixels: Pixels) -> Result<Pixels> {
     fn blacken<T: PartialEq + Default + Copy>(samples: &mut [T], count: usize) {

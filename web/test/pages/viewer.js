@@ -110,6 +110,22 @@ export async function test() {
   const drew = frame => frame.getContext("2d").getImageData(0, 0, frame.width, frame.height).data
   check(await until(() => drew(picture).some(v => v > 0 && v < 255)) && cpu.document.getElementById("stage").dataset.drawn == "decoder", "without WebGL2 nothing is drawn")
 
+  // M marks what the exact layer covers: a part of one file, all of another. Files without the layer have no such control.
+  check(cpu.document.getElementById("mask").hidden, "a file without an exact layer has a control for it")
+  const share = async name => {
+    const marked = await open(`/spec/vectors/valid/${name}/file.ssplat`), id = name => marked.document.getElementById(name)
+    if (!await until(() => !id("mask").hidden)) return "there is no control for the exact layer"
+    marked.document.body.dispatchEvent(new marked.KeyboardEvent("keydown", { key: "m", bubbles: true, cancelable: true }))
+    await until(() => drew(id("overlay")).some(v => v > 0))
+    // Relative to the box that the picture takes in the stage.
+    const alpha = drew(id("overlay")).filter((_, k) => k % 4 == 3), [w, h] = [id("stage").clientWidth, id("stage").clientHeight]
+    const rows = Array.from({ length: h }, (_, y) => alpha.slice(y * w, (y + 1) * w)).filter(row => row.some(v => v > 0))
+    return alpha.filter(v => v > 0).length / (rows.length * Math.max(...rows.map(row => row.lastIndexOf(Math.max(...row)) - row.findIndex(v => v > 0) + 1)))
+  }
+  const all = await share("exact-rgb-8"), some = await share("exact-mask")
+  check(all == 1, `of a file that is exact, ${all} is marked`)
+  check(some > .05 && some < .95, `of a file with a mask, ${some} is marked`)
+
   // The original is shown behind a border that keys and a handle move, or alone.
   const compared = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&original=/tests/images/kodim05.png"), $ = id => compared.document.getElementById(id)
   check(await until(() => !$("comparing").hidden), `an original is not shown: ${$("status").textContent}`)

@@ -26,12 +26,12 @@ struct Desk {
 }
 
 /// Answer of a call. The pieces are: pixels, Gaussians, JSON, a thumbnail or a text; the ICC profile; the EXIF block;
-/// the bits of each Gaussian. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
+/// the bits of each Gaussian; the cells of the exact layer. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
 /// counts it, missing primitives, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is
 /// wrong.
 #[derive(Default)]
 struct Answer {
-    pieces: [Vec<u8>; 4],
+    pieces: [Vec<u8>; 5],
     numbers: [u32; 9],
 }
 
@@ -250,6 +250,9 @@ pub extern "C" fn info() -> u32 {
         }
         json += "]}";
         let mut answer = Answer::default();
+        if let Some(exact) = &splats.exact {
+            answer.pieces[4] = exact.cells([header.width, header.height]).iter().map(|&cell| cell.into()).collect();
+        }
         describe(splats.metadata, &mut answer);
         answer.pieces[0] = json.into_bytes();
         let mut bits = zeros(4 * report.each.len())?;
