@@ -43,6 +43,12 @@ def stored(picture, kind, **options):
     return out.getvalue()
 
 
+def losslessly(picture):
+    """Returns the picture as PNG, WebP and JPEG XL, without loss."""
+    webp = stored(picture, "WEBP", lossless=True, method=6, quality=100, exact=True)
+    return stored(picture, "PNG", optimize=True), webp, stored(picture, "JXL", lossless=True, effort=7)
+
+
 def decode_seconds(data, repeat=3):
     start = time.process_time()
     for _ in range(repeat):
@@ -68,19 +74,17 @@ def main():
             picture = picture.convert("RGBA" if has_alpha else "RGB")
             picture.save(source)
             pixels = picture.width * picture.height
-            png = len(stored(picture, "PNG", optimize=True))
-            webp = stored(picture, "WEBP", lossless=True, method=6, quality=100, exact=True)
-            jxl = len(stored(picture, "JXL", lossless=True, effort=7))
+            png, webp, jxl = losslessly(picture)
             encode = spent([args.program, "encode", source, file, "--lossless", "--keep-hidden", "--force", "--quiet"]) - idle
             decode = spent([args.program, "decode", file, back, "--quiet"]) - idle
             if Image.open(back).convert(picture.mode).tobytes() != picture.tobytes():
                 sys.exit(f"{path}: the decoded picture differs")
             size = file.stat().st_size
-            ratio = size / min(len(webp), jxl)
+            ratio = size / min(len(webp), len(jxl))
             times = "| | |" if args.no_times else (
                 f"{encode / pixels * 1e6:.2f} | {decode / pixels * 1e9:.0f} | {decode_seconds(webp) / pixels * 1e9:.0f} |"
             )
-            print(f"| {path.parent.name}/{path.stem} | {png} | {len(webp)} | {jxl} | {size} | {ratio:.3f} | {times}", flush=True)
+            print(f"| {path.parent.name}/{path.stem} | {len(png)} | {len(webp)} | {len(jxl)} | {size} | {ratio:.3f} | {times}", flush=True)
             sets.setdefault(path.parent.name, []).append(ratio)
     for name, ratios in sets.items():
         print(f"{name}: mean of the smaller {sum(ratios) / len(ratios):.3f}, worst {max(ratios):.3f}, {len(ratios)} pictures")

@@ -3,11 +3,15 @@
 
     python lab/screens.py target/release/ssplat PICTURES...
     python lab/screens.py target/release/ssplat PICTURES... --ratios 100,200 --speed 4
+    python lab/screens.py target/release/ssplat IMAGES/screens IMAGES/graphics shot.png --page
 
 PICTURES are pictures or folders of pictures. For each picture and ratio, the command prints the bytes of the file, its
 SSIMULACRA2 score (100 if it is equal to the picture), the largest score of AVIF files of 4:2:0 and 4:4:4 that fit into
 the ratio, and the CPU seconds of the encode. The mean and the smallest lead over AVIF of each folder and ratio follow.
 Pictures of which AVIF has no file that is small enough are not counted.
+
+--page writes the table of screens into docs/BENCHMARKS.md, with the bytes of PNG (as Pillow optimizes it), lossless WebP
+(method 6, quality 100), JPEG XL (effort 7) and ssplat without loss in columns of their own. It needs pillow-jxl-plugin.
 
 Pictures are converted to RGB with 8 bits. The command needs Pillow 12 or newer.
 """
@@ -15,7 +19,10 @@ import argparse, io, json, pathlib, subprocess, tempfile
 
 from PIL import Image
 
-from exact import found, spent
+from exact import found, losslessly, spent
+from report import commit_of, measured_when, number, table, write_tables
+
+root = pathlib.Path(__file__).resolve().parent.parent
 
 # Qualities of AVIF; the highest stands for no loss, which tune=iq does not support.
 QUALITIES = range(100)
@@ -47,8 +54,9 @@ def main():
     parser.add_argument("pictures", type=pathlib.Path, nargs="+")
     parser.add_argument("--ratios", default="20,50,100,200", help="ratios, separated by commas")
     parser.add_argument("--speed", type=int, default=6, help="speed of AVIF")
+    parser.add_argument("--page", action="store_true", help="write the table of screens into docs/BENCHMARKS.md")
     args = parser.parse_args()
-    sets = {}
+    sets, rows = {}, []
     print("| picture | ratio | bytes of | bytes | SSIMULACRA2 | AVIF | encode, s |\n|---|--:|--:|--:|--:|--:|--:|")
     with tempfile.TemporaryDirectory() as folder:
         source, file, back = (pathlib.Path(folder) / name for name in ("source.png", "file.ssplat", "back.png"))
@@ -57,6 +65,10 @@ def main():
             picture.info.clear()
             picture.save(source)
             raw, files = picture.width * picture.height * 3, {}
+            row = [path.stem.split("-")[0] if len(path.stem) > 20 else path.stem]
+            if args.page:
+                spent([args.program, "encode", source, file, "--lossless", "--force", "--quiet"])
+                row += [f"{size:,}".replace(",", " ") for size in (*map(len, losslessly(picture)), file.stat().st_size)]
             for ratio in map(int, args.ratios.split(",")):
                 seconds = spent([args.program, "encode", source, file, "--ratio", ratio, "--force", "--quiet"])
                 own, others = score(args.program, source, file), []
@@ -69,8 +81,13 @@ def main():
                 print(f"| {name} | {ratio} | {raw // ratio} | {file.stat().st_size} | {own:.1f} | {other} | {seconds:.1f} |", flush=True)
                 if others:
                     sets.setdefault((path.parent.name, ratio), []).append(own - max(others))
+                row.append(f"{number(own, 1)} / {number(max(others), 1) if others else '–'}")
+            rows.append(row)
     for (name, ratio), leads in sets.items():
         print(f"{name} at {ratio}: {sum(leads) / len(leads):+.1f} in the mean, {min(leads):+.1f} at least, {len(leads)} pictures")
+    if args.page:
+        head = ["picture", "PNG", "WebP", "JPEG XL", "ssplat", *(f"at {ratio}" for ratio in args.ratios.split(","))]
+        write_tables(root / "docs/BENCHMARKS.md", {"set screens": f"{table(head, rows)}\n\n{measured_when(commit_of(root))}"})
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pictures", type=pathlib.Path)
     parser.add_argument("programs", nargs="+", metavar="NAME=PROGRAM")
-    parser.add_argument("--sets", default=",".join(set_tables.CHART), help="kodak, cid22, graphics, clic or large, separated by commas; by default all but large")
+    parser.add_argument("--sets", default=",".join(set_tables.CHART), help="kodak, cid22, graphics, clic, large or screens, separated by commas; by default all but large")
     parser.add_argument("--half", choices=["choose", "judge", "all"], default="all")
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
     parser.add_argument("--ratios", help="by default 20,50,100,200, and those of lab/set_tables.py with --page")

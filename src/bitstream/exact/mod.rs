@@ -19,7 +19,7 @@ use self::tile::Shape;
 #[cfg(any(test, feature = "unstable"))]
 use crate::error::Result;
 use crate::gaussian::Channels;
-#[cfg(any(test, feature = "unstable"))]
+#[cfg(any(feature = "encode", feature = "unstable"))]
 use crate::pixels::Pixels;
 use crate::pixels::{Depth, Samples};
 
@@ -131,7 +131,7 @@ impl ExactLayer {
     }
 }
 
-#[cfg(any(test, feature = "unstable"))]
+#[cfg(any(feature = "encode", feature = "unstable"))]
 impl ExactLayer {
     /// Returns the layer of a picture in tiles of `2^side` pixels that covers the cells for which `is_covered` returns
     /// true; it receives the position of a cell's first pixel.
@@ -164,7 +164,10 @@ impl ExactLayer {
         };
         ExactLayer { side, tiles: (0..across * down).map(tile).collect() }
     }
+}
 
+#[cfg(any(test, feature = "unstable"))]
+impl ExactLayer {
     /// Reads the stream of a tile that is a whole picture, with at most `most_work` work.
     ///
     /// # Errors

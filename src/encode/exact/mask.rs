@@ -1,9 +1,8 @@
 //! Decides which cells of a picture the exact layer covers: all but those of photographs.
 
 use super::survey::Survey;
-use crate::bitstream::ExactLayer;
+use crate::bitstream::exact::CELL;
 use crate::bitstream::exact::tile::Shape;
-use crate::bitstream::exact::{CELL, ExactTile, tile_area};
 use crate::gaussian::Channels;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
@@ -260,35 +259,5 @@ impl Mask {
     /// Returns whether a pixel is covered.
     pub(super) fn covers(&self, [x, y]: [usize; 2]) -> bool {
         self.cells[y / CELL * self.width.div_ceil(CELL) + x / CELL]
-    }
-
-    /// Returns a layer without the cells that are not covered.
-    pub(super) fn applied(&self, layer: &ExactLayer, survey: &Survey) -> ExactLayer {
-        let tile = |i: usize| {
-            let [left, top, width, height] = tile_area(survey.size, layer.side, i);
-            let starts = |length: usize| (0..length).step_by(CELL);
-            let cells: Vec<bool> = starts(height)
-                .flat_map(|y| starts(width).map(move |x| [left + x, top + y]))
-                .map(|corner| self.covers(corner))
-                .collect();
-            if !cells.contains(&true) {
-                return None;
-            }
-            let tile = layer.tiles[i].as_ref()?;
-            if !cells.contains(&false) {
-                return Some(tile.clone());
-            }
-            let is_covered = |at: usize| self.covers([left + at % width, top + at / width]);
-            let count = survey.channels.count();
-            fn kept<T: Copy + Default>(v: &[T], count: usize, is_covered: impl Fn(usize) -> bool) -> Vec<T> {
-                v.iter().enumerate().map(|(i, &v)| if is_covered(i / count) { v } else { T::default() }).collect()
-            }
-            let samples = match &tile.samples {
-                Samples::U8(v) => Samples::U8(kept(v, count, is_covered)),
-                Samples::U16(v) => Samples::U16(kept(v, count, is_covered)),
-            };
-            Some(ExactTile { samples, cells: Some(cells) })
-        };
-        ExactLayer { side: layer.side, tiles: (0..layer.tiles.len()).map(tile).collect() }
     }
 }

@@ -15,7 +15,7 @@ use crate::pixels::{Pixels, Samples};
 use crate::target::Target;
 
 /// Share of the bytes for the Gaussians of photographs.
-const BASE_SHARE: f64 = 0.35;
+pub(super) const BASE_SHARE: f64 = 0.35;
 /// Minimum number of bytes of photographs with a detail layer.
 const MIN_LAYER_BYTES: u64 = 1500;
 

@@ -1,7 +1,8 @@
 //! Searches for the smallest tolerance of colours with which the picture fits, or the largest one that reaches a quality.
 
 use super::mask::Mask;
-use super::survey::Survey;
+use super::mixed::BASE_SHARE;
+use super::survey::{SIDES, Survey};
 use super::{Candidate, Goal, mixed};
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::near::approximate;
@@ -46,7 +47,7 @@ pub(super) fn near(
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
     let since = report.seconds();
-    let masked = mask.map(|mask| mask.applied(&survey.layer, survey));
+    let masked = mask.map(|mask| ExactLayer::of(pixels, SIDES[0], |x, y| mask.covers([x, y])));
     let layer = masked.as_ref().unwrap_or(&survey.layer);
     let found = match *goal {
         Goal::Bytes(bytes) => {
@@ -80,7 +81,7 @@ fn fitting(
     loop {
         report.stage_progress("exact layer", too_small as f32 / MAX_TOLERANCE as f32)?;
         let tried = approximated(survey, layer, next);
-        let bytes = tried.bytes + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32));
+        let bytes = tried.bytes + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32) / (1.0 - BASE_SHARE));
         let logs = [f64::from(next), bytes / room].map(|v| v.strict_ln());
         if bytes <= room {
             best = Some((tried.layer, next));

@@ -20,7 +20,7 @@ use crate::rect::Rect;
 
 /// Logarithms of the tiles' sides: for pictures in which neighbouring pixels are often equal, which gain from
 /// repetitions far away, and for all others, which gain from parallel decoding.
-const SIDES: [u8; 2] = [11, 9];
+pub(super) const SIDES: [u8; 2] = [11, 9];
 
 /// A picture as the tiles of an exact layer.
 pub(super) struct Survey {
