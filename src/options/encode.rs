@@ -193,7 +193,7 @@ pub enum Outside {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {
-    /// Target of the encode; the default is [`Target::Auto`].
+    /// Target of the encode; the default is [`Target::Auto`], a quality of 70.
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,

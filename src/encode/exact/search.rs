@@ -2,7 +2,7 @@
 
 use super::mask::Mask;
 use super::survey::Survey;
-use super::{Candidate, Goal, mixed};
+use super::{Candidate, Goal, Judge, mixed};
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::near::approximate;
 use crate::bitstream::exact::tile::Shape;
@@ -12,7 +12,6 @@ use crate::encode::thumbnail;
 use crate::error::Result;
 use crate::options::EncodeOptions;
 use crate::parallel;
-use crate::pixels::Pixels;
 
 /// Largest tolerance, in 8-bit code values. With larger ones, letters lose their shape.
 const MAX_TOLERANCE: u32 = 48;
@@ -34,29 +33,28 @@ struct Approximation {
 /// [`Error::Cancelled`](crate::Error::Cancelled) if the caller cancels.
 pub(super) fn near(
     survey: &Survey,
-    pixels: &Pixels,
+    judge: &Judge<'_>,
     mask: Option<&Mask>,
-    goal: &Goal,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
     let since = report.seconds();
     let masked = mask.map(|mask| mask.applied(&survey.layer, survey));
     let layer = masked.as_ref().unwrap_or(&survey.layer);
-    let found = match *goal {
+    let found = match *judge.goal {
         Goal::Bytes(bytes) => {
             let bytes = bytes.saturating_sub(thumbnail::reserved(options, survey.size, bytes));
             fitting(survey, layer, mask, bytes, report)?.map(|found| (found, bytes))
         }
         _ if mask.is_some() => None,
-        _ => return reaching(survey, pixels, goal, options, report),
+        _ => return reaching(survey, judge, options, report),
     };
     report.stage("exact layer", since);
     let Some(((layer, tolerance), bytes)) = found else { return Ok(None) };
     let file = survey.file(layer, options);
     match mask {
         None => Candidate::new(file, tolerance).map(Some),
-        Some(mask) => mixed::file((file, tolerance), mask, pixels, bytes, options, report),
+        Some(mask) => mixed::file((file, tolerance), mask, judge.pixels, bytes, options, report),
     }
 }
 
@@ -94,8 +92,7 @@ fn fitting(
 /// Returns the file with the largest tolerance that reaches a quality, if one does.
 fn reaching(
     survey: &Survey,
-    pixels: &Pixels,
-    goal: &Goal,
+    judge: &Judge<'_>,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
@@ -104,7 +101,7 @@ fn reaching(
     while reaches + 1 < misses {
         report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
         let splats = survey.file(approximated(survey, &survey.layer, next).layer, options);
-        if goal.is_met(pixels, &splats)? {
+        if judge.is_met(&splats)? {
             (reaches, best) = (next, Some((splats, next)));
         } else {
             misses = next;
