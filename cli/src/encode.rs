@@ -119,7 +119,7 @@ fn area([width, height]: [u32; 2]) -> u64 {
 /// Returns the number of fits that a target may take, for the progress bar.
 fn tries(target: Target) -> u32 {
     match target {
-        Target::Psnr(_) | Target::Quality(_) => 3,
+        Target::Psnr(_) => 3,
         _ => 1,
     }
 }

@@ -929,17 +929,23 @@ fn a_quality_is_met_or_reported_as_missed() {
     let (file, out) = (folder.path("k.ssplat"), folder.path("o.png"));
     let (picture, noise) = (folder.path("k.png"), folder.path("n.png"));
     image::open(PHOTO).unwrap().crop_imm(200, 100, 160, 120).save(&picture).unwrap();
-    let run = |input: &Path, quality: &str| {
-        ssplat(&[&"encode", &input, &file, &"--quality", &quality, &"--effort", &"1", &"--json", &"--preview", &out])
+    let run = |input: &Path, quality: &str, detail: &str| {
+        let target: [&dyn AsRef<OsStr>; 5] = [&"encode", &input, &file, &"-q", &quality];
+        let more: [&dyn AsRef<OsStr>; 7] = [&"--effort", &"1", &"--detail", &detail, &"--json", &"--preview", &out];
+        ssplat(&[&target[..], &more].concat())
     };
-    let met = run(&picture, "60");
+    let met = run(&picture, "60", "auto");
     assert!(told(met.clone()).is_empty(), "{met:?}");
     let json = succeeds(met);
     let measured: serde_json::Value = serde_json::from_str(&json).unwrap();
     let seen = measured["preview"]["ssimulacra2"].as_f64().unwrap();
     assert!((seen - 60.0).abs() <= 0.5 && (number(&json, "quality") - seen).abs() < 1e-6, "{json}");
     image::GrayImage::from_fn(24, 24, |x, y| image::Luma([(x * 7919 + y * 104_729) as u8])).save(&noise).unwrap();
-    assert!(told(run(&noise, "100")).contains("--quality 100 was not met: the file has "));
+    assert!(told(run(&noise, "100", "off")).contains("--quality 100 was not met: the file has "));
+    assert!(told(run(&noise, "100", "auto")).contains("--quality 100 is met without loss"));
+    // Without a target, the quality is 70.
+    let json = succeeds(ssplat(&[&"encode", &picture, &file, &"--effort", &"1", &"--json"]));
+    assert!((number(&json, "quality") - 70.0).abs() <= 0.5, "{json}");
     let help = succeeds(ssplat(&[&"encode", &"--help"]));
     let words: Vec<&str> = help.split_whitespace().collect();
     assert!(words.join(" ").contains("30 low, 50 medium, 70 high"), "{help}");

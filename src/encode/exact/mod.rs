@@ -265,7 +265,9 @@ fn lossy(
             return Ok(None);
         }
     }
-    let lossy = encode_lossy(source, options, executor, progress)?;
+    // Of a drawing, a file with near colours takes few bytes, so one fit has to do.
+    let options = EncodeOptions { has_alternative: near.tolerance > 0, ..options.clone() };
+    let lossy = encode_lossy(source, &options, executor, progress)?;
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
         && found < wanted - MISSED

@@ -45,7 +45,7 @@ const TYPICAL_SHARE: f64 = 0.8;
 /// The same for drawings.
 const DRAWING_SHARE: f64 = 0.3;
 /// Maximum number of fits, which are more than one only if the size of the file was badly predicted.
-const MAX_FITS: usize = 3;
+const MAX_FITS: usize = 2;
 /// Bytes of a layer in each tile below which the layer is practically empty.
 const EMPTY_TILE_BYTES: usize = 6;
 /// Points by which the layer before a round of descent may miss the score.

@@ -18,7 +18,7 @@ const TOLERANCE: f64 = 0.5;
 /// cannot raise it.
 pub(in crate::encode) const AIM_ABOVE: f64 = 0.25;
 /// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
-const MAX_TRIMMED: f64 = 2.5;
+const MAX_TRIMMED: f64 = 4.0;
 /// Scores that are assumed for a picture until its own are known: halvings of the raw bytes, and points. The values
 /// were measured on Kodak; from a ratio of 20 on, they are means of twelve pictures. Pictures differ mostly by a shift
 /// along the first axis. `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures the curve.
@@ -65,7 +65,8 @@ impl Curve for Points {
 pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
     let samples = session.samples();
     let known = match session.at_quality(wanted)? {
-        AtQuality::Done(outcome) => return Ok(*outcome),
+        AtQuality::Done(outcome) => return as_written(session, *outcome),
+        _ if session.options().has_alternative => return nothing(session),
         AtQuality::Expected { bytes, seen } => {
             let size = |bytes: f64| (bytes / samples).strict_log2();
             let tries = seen.iter().map(|&(bytes, score)| Try { size: size(bytes as f64), score }).collect();
@@ -86,10 +87,21 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
     if found > wanted + AIM_ABOVE {
         session.trim_to_quality(&mut outcome, wanted)?;
     }
-    // A decoder renders the Gaussians in the order of the file, which changes the last bits.
+    as_written(session, outcome)
+}
+
+/// Measures the score of the file. A decoder renders the Gaussians in the order of the file, which changes the last bits.
+fn as_written<'a, S: EncodeSession<'a>>(session: &mut S, mut outcome: Outcome) -> Result<Outcome> {
     let written = bitstream::read(&outcome.bytes[..], &own_limits())?;
     outcome.quality = Some(session.score(&written)?);
     Ok(outcome)
+}
+
+/// Returns a file without primitives, which reaches no quality.
+fn nothing<'a, S: EncodeSession<'a>>(session: &S) -> Result<Outcome> {
+    let splats = session.blank().clone();
+    let bytes = session.file(&splats)?;
+    Ok(Outcome { bytes, splats, float_error: f64::INFINITY, quality: Some(f64::NEG_INFINITY), pruned_bytes: 0 })
 }
 
 #[cfg(test)]
