@@ -52,8 +52,10 @@ const MIN_BOTH_EQUAL: f64 = 0.65;
 /// In the worst case that was found, the latter has .2 SSIMULACRA2 points more.
 const MAX_SURE_TOLERANCE: u32 = 2;
 /// Smallest size of a file of Gaussians and a detail layer relative to its prediction.
-#[cfg(feature = "quality-hook")]
 const MIN_PREDICTED: f64 = 0.75;
+/// Size of a file with near colours, relative to that prediction, up to which one fit of Gaussians is enough to compare
+/// it with. A search of several fits would take up to six times as long, for files of a few kilobytes.
+const FEW_BYTES: f64 = 1.5;
 /// Minimum share of the time limit that remains for Gaussians and the detail layer.
 const MIN_TIME: f64 = 0.05;
 
@@ -227,7 +229,10 @@ pub(super) fn encode(
     let lossy_options = EncodeOptions { time, ..options.clone() };
     let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, progress) };
     let is_sure = near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
-    if !is_sure && goal.is_worth_a_fit(&near, &pixels, options) {
+    let predicted = if is_sure { 0.0 } else { goal.predicted_bytes(&pixels, options) };
+    if !is_sure && near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
+        let has_alternative = near.tolerance > 0 && near.bytes.len() as f64 <= FEW_BYTES * predicted;
+        let lossy_options = EncodeOptions { has_alternative, ..lossy_options };
         match lossy(source, &judge, &near, &lossy_options, executor, progress) {
             Ok(Some(lossy)) => return Ok(lossy),
             Ok(None) | Err(Error::TooSmall { .. } | Error::LimitExceeded { .. }) => {}
@@ -265,9 +270,7 @@ fn lossy(
             return Ok(None);
         }
     }
-    // Of a drawing, a file with near colours takes few bytes, so one fit has to do.
-    let options = EncodeOptions { has_alternative: near.tolerance > 0, ..options.clone() };
-    let lossy = encode_lossy(source, &options, executor, progress)?;
+    let lossy = encode_lossy(source, options, executor, progress)?;
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
         && found < wanted - MISSED
@@ -336,15 +339,13 @@ impl Goal {
         }
     }
 
-    /// Returns whether a file of Gaussians and a detail layer may be better than `near`.
-    fn is_worth_a_fit(&self, near: &Candidate, pixels: &Pixels, options: &EncodeOptions) -> bool {
+    /// Returns about the bytes of a file of Gaussians and a detail layer that reaches a quality; 0 for another goal.
+    #[cfg_attr(not(feature = "quality-hook"), allow(unused_variables, reason = "there is no quality"))]
+    fn predicted_bytes(&self, pixels: &Pixels, options: &EncodeOptions) -> f64 {
         match *self {
-            Goal::Bytes(_) | Goal::Psnr(_) => true,
+            Goal::Bytes(_) | Goal::Psnr(_) => 0.0,
             #[cfg(feature = "quality-hook")]
-            Goal::Quality(wanted) => {
-                let predicted = predicted_bytes(pixels, options, wanted);
-                near.bytes.len() as f64 >= MIN_PREDICTED * predicted
-            }
+            Goal::Quality(wanted) => predicted_bytes(pixels, options, wanted),
         }
     }
 

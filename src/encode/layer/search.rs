@@ -297,6 +297,7 @@ impl Magnitudes {
     }
 
     /// Returns about the bytes of a layer with this step.
+    #[cfg(feature = "quality-hook")]
     pub(super) fn bytes_at(&self, step: f64) -> f64 {
         let value = step * f64::from(LIKELY) / f64::from(Self::UNIT);
         let bin = f64::from(Self::FINE) * value.strict_log2() + Self::BINS as f64 / 2.0;

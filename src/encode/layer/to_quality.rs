@@ -40,6 +40,12 @@ const TYPICAL_STEPS: [[f64; 2]; 15] = [
     [0.0, 8.05],
     [-60.0, 9.2],
 ];
+/// Fineness of a picture with these steps, the exponent with which the steps of a photograph fall with the fineness, and
+/// the maximum of that change of their logarithm. They were fitted to 15 photographs of Kodak, CID22 and CLIC at 70
+/// points, whose steps then scatter by a tenth, which is 2.5 points.
+const TYPICAL_FINENESS: f64 = 0.717;
+const FINENESS_POWER: f64 = 0.466;
+const MAX_SHIFT: f64 = 0.5;
 /// Bytes of a typical file, relative to those that the coefficients of the picture suggest.
 const TYPICAL_SHARE: f64 = 0.8;
 /// The same for drawings.
@@ -184,8 +190,12 @@ fn predicted(planes: &Planes, settings: &SearchSettings, texture: Option<Texture
     let (width, height) = (planes.width, planes.height);
     let scene = Scene { width, height, blend: Blend::Normalized, background: planes.mean };
     let tiles = residual::residuals(scene, planes, &[]);
-    let step = typical_step(wanted);
     let is_drawing = texture.is_some_and(|texture| texture.is_drawing());
+    let shift = match texture {
+        Some(texture) if !is_drawing => -FINENESS_POWER * (texture.fineness / TYPICAL_FINENESS).strict_ln(),
+        _ => 0.0,
+    };
+    let step = typical_step(wanted) + shift.clamp(-MAX_SHIFT, MAX_SHIFT);
     let share = if is_drawing { DRAWING_SHARE } else { TYPICAL_SHARE };
     let bytes = share * Magnitudes::of(&tiles, settings).bytes_at(step.strict_exp());
     Prediction {
