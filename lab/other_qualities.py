@@ -39,16 +39,13 @@ def main() -> None:
                 image = opened.convert("RGB")
             source, decoded = home / "source.png", home / "decoded.png"
             image.save(source)
-            bits = 8 / (image.width * image.height)
-
-            def note(name: str, file: Path, shown: Path) -> None:
-                found.setdefault(name, []).append((score(args.program, source, shown), file.stat().st_size * bits))
-
+            files: dict[str, tuple[float, int]] = {}
             for quality in args.qualities.split(","):
                 image.save(home / "a.jpg", quality=int(quality))
                 with Image.open(home / "a.jpg") as jpeg:
                     jpeg.save(decoded)
-                note(f"JPEG {quality}", home / "a.jpg", decoded)
+                size = (home / "a.jpg").stat().st_size
+                files[f"JPEG {quality}"] = score(args.program, source, decoded), size
             others = {
                 "AVIF, avifenc's default": (["avifenc", source, home / "a.avif"], ["avifdec", home / "a.avif", decoded]),
                 "JPEG XL, cjxl's default": (["cjxl", source, home / "a.jxl"], ["djxl", home / "a.jxl", decoded]),
@@ -57,11 +54,13 @@ def main() -> None:
                 if shutil.which(encode[0]):
                     for command in encode, decode:
                         subprocess.run(command, check=True, capture_output=True)
-                    note(name, encode[2], decoded)
+                    files[name] = score(args.program, source, decoded), encode[2].stat().st_size
             if args.sizes:
                 file = home / "a.ssplat"
                 subprocess.run([args.program, "encode", source, file, "--quiet"], check=True)
-                note("ssplat, its default", file, file)
+                files["ssplat, its default"] = score(args.program, source, file), file.stat().st_size
+            for name, (points, size) in files.items():
+                found.setdefault(name, []).append((points, 8 * size / (image.width * image.height)))
     print("| | quality | standard deviation | bits per pixel |\n|---|--:|--:|--:|")
     for name, measured in found.items():
         scores, bits = zip(*measured, strict=True)
