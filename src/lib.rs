@@ -4,7 +4,7 @@
 //! A file stores a picture as coloured, stretched and rotated Gaussians ("splats") instead of pixels, and where it
 //! pays, a second layer with texture. It describes a continuous image, so any region can be rendered at any size. The
 //! format is designed for high compression: a photograph of 768 × 512 pixels takes 1 to 20 kB, and a placeholder 100 to
-//! 1000 bytes. It is always lossy.
+//! 1000 bytes. Pictures can also be stored without loss.
 //!
 //! This page leads through the crate: [encoding](#encoding), [decoding](#decoding),
 //! [rendering regions](#rendering-regions), [the `image` crate](#the-image-crate),
@@ -12,10 +12,10 @@
 //!
 //! # Encoding
 //!
-//! [`Encoder`] has a setter for each option. The target is a [ratio](Encoder::ratio) (raw size divided by file size),
-//! a size in [bytes](Encoder::bytes), a [PSNR](Encoder::psnr), a perceptual quality or a number of primitives; see
-//! [`Target`]. The default is a ratio of 50. [`effort`](Encoder::effort) and [`time`](Encoder::time) trade time for
-//! quality.
+//! [`Encoder`] has a setter for each option. The target is a perceptual quality, a [ratio](Encoder::ratio) (raw size
+//! divided by file size), a size in [bytes](Encoder::bytes), a [PSNR](Encoder::psnr) or a number of primitives; see
+//! [`Target`]. The default is a quality of 70: hard to tell from the original side by side.
+//! [`effort`](Encoder::effort) and [`time`](Encoder::time) trade time for quality.
 //!
 //! ```
 //! use ssplat::{Channels, Encoder, Pixels, Samples};
@@ -190,7 +190,7 @@ See [`gpu`] for rendering into the textures of a program.
 //! | `rayon` (default) | multithreading; results do not depend on the number of threads |
 //! | `encode` (default) | the encoder; without it, the crate reads and renders, and needs no C compiler |
 //! | `image` (default) | the hooks of the `image` crate, and encoding of its pictures |
-//! | `quality` | `Target::Quality`: encoding to a perceptual quality (SSIMULACRA2) |
+//! | `quality` (default) | `Target::Quality`, the default target: encoding to a perceptual quality (SSIMULACRA2); without it, the default is a ratio of 25 |
 //! | `gpu` | fitting and rendering on a GPU through `wgpu` |
 //! | `smartsplat` | the SmartSplat recipe, for comparisons |
 //! | `unstable` | internal modules for the tools of the repository; any release may change them |

@@ -1,5 +1,9 @@
 //! Target of an encode.
 
+/// Quality of [`Target::Auto`]. At this quality, the original and the picture are hard to tell apart side by side.
+#[cfg(feature = "quality-hook")]
+pub const DEFAULT_QUALITY: f64 = 70.0;
+
 /// Target of an encode: the size, the number of primitives, or the quality of the file.
 ///
 /// Screens, pages and drawings are stored without loss if that fits into the requested size, or if it takes no more
@@ -10,8 +14,9 @@
 #[non_exhaustive]
 #[doc(alias("quality", "rate_control"))]
 pub enum Target {
-    /// A ratio of 50, with at least 80 bytes for the primitives, so that no picture is too small for it. The bytes of
-    /// an ICC profile and an EXIF block are not counted.
+    /// The default quality of 70 points, as `Target::Quality(70.0)`. A build without the feature `quality` measures no
+    /// quality: its default is a ratio of 25, with at least 80 bytes for the primitives, so that no picture is too small
+    /// for it. The bytes of an ICC profile and an EXIF block are not counted.
     #[default]
     Auto,
     /// Compression ratio, finite and above 0: width × height × channels (the raw size at one byte per sample, whatever
@@ -35,8 +40,10 @@ pub enum Target {
     /// It requires [`Layout::Coded`](crate::Layout::Coded).
     Lossless,
     /// Perceptual quality: the SSIMULACRA2 score of the file, `0..=100`, met within half a point. About 30, 50, 70 and
-    /// 90 mean low, medium, high and very high quality. Encoding takes up to six tries, most of which start from the
-    /// Gaussians of the previous one. If none meets the score, the result is the best file found, and
+    /// 90 mean low, medium, high and very high quality. The encoder predicts the size of the file, fits the Gaussians once and
+    /// searches for the layer. Files of Gaussians alone, and those of pictures in tiles, take up to six tries. The
+    /// picture itself, without loss, is stored if that takes no more bytes or if no other file meets the score. With a
+    /// layout, levels or layers that exclude this, the result is the best file found, and
     /// [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
     ///
     /// SSIMULACRA2 needs pictures of some size and visible contrasts. A picture with a side below 64 pixels is

@@ -21,6 +21,8 @@ pub use crate::pack::FINEST;
 #[cfg(feature = "encode")]
 pub use crate::pixel_source::check_area;
 pub use crate::simd::instruction_set;
+#[cfg(feature = "quality-hook")]
+pub use crate::target::DEFAULT_QUALITY;
 
 /// Converts bytes to integers and back.
 pub mod bitstream {

@@ -532,9 +532,10 @@ fn without_a_size_no_picture_is_too_small() {
 }
 
 #[test]
-fn without_a_size_the_ratio_is_50() {
+#[cfg(feature = "quality")]
+fn without_a_target_the_quality_is_70() {
     let pixels = picture(160, 120, Channels::Rgb);
-    let mut options = quick(Target::Ratio(50.0));
+    let mut options = quick(Target::Quality(70.0));
     let asked = encode(&pixels, &options).unwrap().bytes;
     options.target = Target::default();
     assert_eq!(encode(&pixels, &options).unwrap().bytes, asked);

@@ -17,7 +17,7 @@ export interface EncodePixels {
   channels?: 1 | 2 | 3 | 4
 }
 
-/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality`, `primitives` and `lossless` may be given; by default the ratio is 50. */
+/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality`, `primitives` and `lossless` may be given; by default the quality is 70. */
 export interface EncodeOptions {
   /** Bytes of the samples divided by bytes of the file. */
   ratio?: number
@@ -25,7 +25,10 @@ export interface EncodeOptions {
   bytes?: number
   /** Minimum PSNR, dB. */
   psnr?: number
-  /** Minimum SSIMULACRA2 score: 30 is low, 50 medium, 70 high and 90 very high quality. */
+  /**
+   * SSIMULACRA2 score of the file, 0 to 100, met within half a point: 30 is low, 50 medium, 70 (the default) high and 90 very high quality.
+   * Where the picture without loss takes no more bytes, it is stored without loss.
+   */
   quality?: number
   /** Number of Gaussians. */
   primitives?: number
@@ -54,7 +57,7 @@ export interface EncodeOptions {
   worker?: boolean | (() => Worker)
   /** The WebAssembly as a URL, bytes or a compiled module, if not that of the package. */
   module?: string | URL | ArrayBuffer | Uint8Array | WebAssembly.Module
-  /** The WebAssembly that computes SSIMULACRA2, in the same way. It is loaded only with `quality`. */
+  /** The WebAssembly that computes SSIMULACRA2, in the same way. It is loaded for encodes to a quality. */
   scoreModule?: EncodeOptions["module"]
   /** Stops the encode: at once in a worker, otherwise when `onProgress` aborts it. The promise is rejected with the signal's reason. */
   signal?: AbortSignal
@@ -67,7 +70,7 @@ export interface EncodeReport {
   primitives: number
   /** PSNR in dB over the decoded samples; Infinity if all are equal. */
   psnr: number
-  /** SSIMULACRA2 score, if requested. */
+  /** SSIMULACRA2 score, if a quality is the target, as by default. */
   quality?: number
   seconds: number
   stages: { name: string; seconds: number }[]
@@ -84,5 +87,5 @@ export function encode(pixels: EncodePixels, options?: EncodeOptions): Promise<{
  */
 export function ssimulacra2(reference: EncodePixels, test: EncodePixels, options?: Pick<EncodeOptions, "limits" | "worker" | "scoreModule" | "signal">): Promise<number>
 
-/** Fetches and compiles the WebAssembly before it is needed; with `quality`, also that which computes SSIMULACRA2. */
+/** Fetches and compiles the WebAssembly before it is needed; that which computes SSIMULACRA2 too, unless `quality` is false. */
 export function preload(options?: { quality?: boolean }): Promise<void>

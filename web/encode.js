@@ -1,5 +1,5 @@
 // Encodes pictures to .ssplat files in browsers and in Node.js, with a separate WebAssembly module that is loaded by the first encode.
-// SSIMULACRA2 is another module, which is loaded if it is needed.
+// SSIMULACRA2 is another module, which is loaded for encodes to a quality.
 import { SsplatError } from "./error.js"
 import { run, score } from "./encode-machine.js"
 
@@ -7,6 +7,8 @@ export { SsplatError, names as optionNames }
 
 const targets = ["ratio", "bytes", "psnr", "quality", "primitives", "lossless"]
 const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "scoreModule", "signal", "onProgress"]
+// The quality of a file for which no target is given, as in the program.
+const defaultQuality = 70
 const bad = words => { throw new SsplatError("parameter", words) }
 // Default maximum memory of the WebAssembly in bytes: the limit of the Rust crate on 32-bit systems.
 const memory = 2 ** 30, address = 2 ** 32
@@ -92,10 +94,11 @@ function jobOf(pixels, options) {
   const word = (name, ...words) => {
     if (given(name)) settings[name] = words.includes(options[name]) ? options[name] : bad(`${name} is ${options[name]}, none of ${words.join(", ")}`)
   }
+  if (!asked.length) settings.quality = defaultQuality
   number("ratio", Number.MIN_VALUE, Number.MAX_VALUE, false)
   number("bytes", 1, Number.MAX_SAFE_INTEGER)
   number("psnr", 0, 1000, false)
-  number("quality", -1000, 100, false)
+  number("quality", 0, 100, false)
   number("primitives", 0, 2 ** 32 - 1)
   number("effort", 1, 9)
   number("time", 0, Number.MAX_VALUE, false)
@@ -203,5 +206,5 @@ export async function ssimulacra2(reference, test, options = {}) {
   return work({ scorer: compile(scorer, options.scoreModule), job: { ...job, test: data, alloc: allocOf(options) } }, options)
 }
 
-// Fetches and compiles the module of the encoder before it is needed; with `quality`, also that of SSIMULACRA2.
-export const preload = async ({ quality = false } = {}) => void await Promise.all([compile(encoder), quality && compile(scorer)])
+// Fetches and compiles the module of the encoder before it is needed, and that of SSIMULACRA2 unless `quality` is false.
+export const preload = async ({ quality = true } = {}) => void await Promise.all([compile(encoder), quality && compile(scorer)])

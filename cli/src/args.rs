@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
-use ssplat::unstable::EncodeOptions;
-use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::{DEFAULT_QUALITY, EncodeOptions, Recipe};
 use ssplat::{Backend, Blend, Detail, HiddenColors, Layers, MetadataPolicy, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
@@ -73,7 +72,8 @@ ssplat decode [OPTIONS] <INPUT> <OUTPUT>
 
 const ENCODE_EXAMPLES: &str = "\
 Examples:
-  ssplat encode photo.jpg photo.ssplat                        at the default ratio of 50
+  ssplat encode photo.jpg photo.ssplat                        at the default quality of 70
+  ssplat encode photo.jpg photo.ssplat -q 85                  a better picture in a larger file
   ssplat encode photo.png photo.ssplat --bytes 300            a placeholder
   ssplat encode photo.png photo.ssplat --ratio 200 --effort 9
   ssplat encode photo.png photo.ssplat --preview result.png   also decode and measure
@@ -90,8 +90,9 @@ The file keeps the orientation, unless --auto-orient applies it to the pixels. S
 are clamped to 0..1 and stored with 16 bits. Parts of the input that are lost (most of an EXIF block,
 XMP, further frames) are reported on standard error.
 
-If no size is given, the ratio is 50, but the primitives get at least 80 bytes, and metadata is added on
-top, so no picture is too small. A size that is given is met, or the command fails.";
+If neither size nor quality is given, the quality is 70. Where the picture without loss takes no more
+bytes than the quality, it is stored without loss, and a note says so. A size that is given is met, or
+the command fails.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = ENCODE_EXAMPLES, override_usage = ENCODE_USAGE)]
@@ -129,7 +130,7 @@ pub struct Encode {
     #[arg(long)]
     pub keep_times: bool,
     /// Print only errors
-    #[arg(long, short)]
+    #[arg(long)]
     pub quiet: bool,
     /// Encoding effort, 1 to 9
     #[arg(long, short, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
@@ -250,8 +251,11 @@ pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a P
 #[derive(Debug, ClapArgs)]
 #[group(multiple = false)]
 pub struct TargetArgs {
-    /// Compression ratio: width x height x channels bytes divided by the bytes of the file [default: 50, with at least
-    /// 80 bytes for the primitives]
+    /// Perceptual quality (SSIMULACRA2): 30 low, 50 medium, 70 high (hard to tell from the original side by side), 90
+    /// very high (hard to tell even when flipping between them); met within half a point [default: 70]
+    #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "POINTS", value_parser = points)]
+    pub quality: Option<f64>,
+    /// Compression ratio: width x height x channels bytes divided by the bytes of the file
     #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
     /// File size in bytes, or as 20k or 1.5M; never exceeded
@@ -260,10 +264,6 @@ pub struct TargetArgs {
     /// Number of primitives
     #[arg(help_heading = "Size or quality (at most one)", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub primitives: Option<u32>,
-    /// Perceptual quality (SSIMULACRA2): 30 low, 50 medium, 70 high (hard to tell from the original side by side), 90
-    /// very high (hard to tell even when flipping between them); met within half a point, in up to six tries
-    #[arg(help_heading = "Size or quality (at most one)", long, short = 'Q', value_name = "POINTS", value_parser = points)]
-    pub quality: Option<f64>,
     /// PSNR; finds the smallest file that reaches it
     #[arg(help_heading = "Size or quality (at most one)", long, value_name = "DB", value_parser = positive)]
     pub psnr: Option<f64>,
@@ -292,7 +292,9 @@ impl Encode {
             t.quality.map(Target::Quality),
             t.lossless.then_some(Target::Lossless),
         ];
-        o.target = targets.into_iter().flatten().next().unwrap_or(o.target);
+        // Other methods have no quality, so their default is a ratio.
+        let default = if self.recipe == Recipe::Ssplat { Target::Quality(DEFAULT_QUALITY) } else { o.target };
+        o.target = targets.into_iter().flatten().next().unwrap_or(default);
         o.effort = self.effort;
         o.time = self.time;
         o.seed = self.seed;
@@ -343,7 +345,7 @@ pub struct Decode {
     #[arg(long)]
     pub auto_orient: bool,
     /// Print only errors
-    #[arg(long, short)]
+    #[arg(long)]
     pub quiet: bool,
     /// Render only this region: left, top, width and height in pixels of the picture
     #[arg(long, value_name = "X,Y,W,H", value_parser = region)]

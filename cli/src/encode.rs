@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use image::ImageFormat;
 use serde_json::{Value, json};
 use ssplat::SamplesMut;
-use ssplat::report::StageTime;
+use ssplat::report::{SkipReason, StageTime};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::unstable::colour::Profiles;
@@ -119,7 +119,7 @@ fn area([width, height]: [u32; 2]) -> u64 {
 /// Returns the number of fits that a target may take, for the progress bar.
 fn tries(target: Target) -> u32 {
     match target {
-        Target::Psnr(_) | Target::Quality(_) => 3,
+        Target::Psnr(_) => 3,
         _ => 1,
     }
 }
@@ -182,7 +182,7 @@ fn one(args: &args::Encode, task: &Task, show: &Show, report: &Report) -> Result
         encoded.report.quality = perceived::measure(&pixels, &decoded.pixels).ssimulacra2;
     }
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
-    notes.extend(missed(&options, &encoded.report));
+    notes.extend(differing(&options, &encoded.report));
     notes.extend(drawing::note(&pixels, encoded.bytes.len(), encoded.report.psnr));
     let mut done = finished(args, output, &origin, &pixels, &encoded);
     done.notes.splice(0..0, notes);
@@ -325,7 +325,7 @@ fn in_parts(
     });
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
-    notes.extend(missed(&options, &encoded.report));
+    notes.extend(differing(&options, &encoded.report));
     let mut done = finished(args, output, &origin, &picture, &encoded);
     done.notes.splice(0..0, notes);
     if done.fate == Fate::LargerThanInput {
@@ -348,14 +348,18 @@ fn refusal(input: &Path, error: &Error) -> Failure {
     failure
 }
 
-/// Returns a note if the file does not have the requested quality.
-fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
+/// Returns a note if the file does not have the requested quality, or has a higher one.
+fn differing(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
     // The encoder meets a quality within half a point if it can.
     const CLOSE: f64 = 0.5;
     let within = options.time.map_or_else(String::new, |time| format!(" within {:.1} s", time.as_secs_f64()));
+    let is_lossless = report.skipped.iter().any(|skipped| skipped.what == SkipReason::Loss);
     match (options.target, report.quality) {
+        (Target::Quality(asked), Some(_)) if is_lossless => {
+            Some(format!("--quality {asked} is met without loss: no smaller file was found{within}"))
+        }
         (Target::Quality(asked), Some(found)) if found > asked + CLOSE => {
-            Some(format!("no smaller file with --quality {asked} was found{within}: this one has {found:.1}"))
+            Some(format!("--quality {asked} is met: the smallest file that was found{within} has {found:.1}"))
         }
         (Target::Quality(asked), Some(found)) if found < asked - CLOSE => {
             Some(format!("--quality {asked} was not met{within}: the file has {found:.1}"))

@@ -660,7 +660,7 @@ fn a_manifest_is_neither_input_nor_output_nor_another_file() {
     refused(&["encode", text(&png), "--out-dir", root, "--manifest", text(&folder.path("a.ssplat"))]);
     assert_eq!(folder.names(), ["a.png", "b.png", "q.ssplat"]);
     let lines = folder.file("m.jsonl", b"{}\n");
-    ends(0, &["encode", text(&png), "--out-dir", text(&out), "--manifest", text(&lines), "--effort", "1", "-q"]);
+    ends(0, &["encode", text(&png), "--out-dir", text(&out), "--manifest", text(&lines), "--effort", "1", "--quiet"]);
     assert!(fs::read_to_string(&lines).unwrap().starts_with("{}\n{"));
     #[cfg(unix)]
     {

@@ -243,7 +243,10 @@ def test_a_quality_is_met_or_warned_about():
     assert abs(found - 60) <= 0.5
     noise = np.random.default_rng(0).integers(0, 256, (24, 24), np.uint8)
     with pytest.warns(ssplat.QualityWarning, match="quality 99 was not met"):
-        ssplat.encode(noise, quality=99, effort=1)
+        ssplat.encode(noise, quality=99, effort=1, detail="off")
+    # Noise is stored without loss, and without a target the quality is 70.
+    assert (ssplat.decode(ssplat.encode(noise, quality=99, effort=1)) == noise).all()
+    assert ssplat.encode(picture, effort=1) == ssplat.encode(picture, quality=70, effort=1)
 
 
 def test_the_detail_layer_is_told_drawn_and_left_out():

@@ -33,7 +33,7 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// Returns an encoder with the default options: target [`Target::Auto`] (a ratio of 50), effort 5, [`Tune::Iq`],
+    /// Returns an encoder with the default options: target [`Target::Auto`] (a quality of 70), effort 5, [`Tune::Iq`],
     /// one level and seed 0.
     #[must_use]
     pub fn new() -> Self {

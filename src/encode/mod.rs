@@ -33,17 +33,24 @@ mod trim;
 mod whole;
 mod workers;
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
+#[cfg(feature = "quality-hook")]
+use crate::options::Recipe;
 use crate::options::{Detail, EncodeOptions};
 use crate::parallel;
 use crate::parameter::{Limit, Parameter};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::rect::Rect;
+#[cfg(feature = "quality-hook")]
+use crate::ssimulacra2;
+#[cfg(feature = "quality-hook")]
+use crate::target::DEFAULT_QUALITY;
 use crate::target::Target;
 pub use device::Chosen;
 pub use encoder::Encoder;
@@ -135,6 +142,7 @@ fn encode_by(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
+    let options = &*with_default(options);
     if options.precision.is_some() {
         return Err(Error::Parameter {
             parameter: Parameter::Precision,
@@ -147,7 +155,16 @@ fn encode_by(
     if exact::is_worth_trying(source, options)? {
         return exact::encode(source, options, executor, progress);
     }
-    encode_lossy(source, options, executor, progress)
+    exact::encode_photograph(source, options, executor, progress)
+}
+
+/// Replaces [`Target::Auto`] with the default quality if this program can measure it. Other methods keep their ratio.
+fn with_default(options: &EncodeOptions) -> Cow<'_, EncodeOptions> {
+    #[cfg(feature = "quality-hook")]
+    if options.target == Target::Auto && options.recipe == Recipe::Ssplat && ssimulacra2::is_provided() {
+        return Cow::Owned(EncodeOptions { target: Target::Quality(DEFAULT_QUALITY), ..options.clone() });
+    }
+    Cow::Borrowed(options)
 }
 
 /// Encodes the picture of `source` with Gaussians and a detail layer. The options are valid.

@@ -38,6 +38,20 @@ impl Outcome {
     }
 }
 
+/// The result of an encode to a score with one fit.
+#[cfg(feature = "quality-hook")]
+pub(super) enum AtQuality {
+    Done(Box<Outcome>),
+    /// A search has to find the file, which probably has this size without header and metadata. `seen` are the bytes and
+    /// the scores of files that are known.
+    Expected {
+        bytes: f64,
+        seen: Vec<(u64, f64)>,
+    },
+    /// A search has to find the file, of which nothing is known.
+    Unknown,
+}
+
 /// Gaussians that a search reuses in all its tries. Their best number depends on the picture and hardly on the size of
 /// the file.
 pub(super) struct KeptBase {
@@ -130,6 +144,12 @@ pub(super) trait EncodeSession<'a> {
     /// Returns the SSIMULACRA2 score of the stored picture, with the channels that were left out restored.
     #[cfg(feature = "quality-hook")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64>;
+
+    /// Encodes to a score of `wanted` points with one fit, if the session can do so for this picture.
+    #[cfg(feature = "quality-hook")]
+    fn at_quality(&mut self, _wanted: f64) -> Result<AtQuality> {
+        Ok(AtQuality::Unknown)
+    }
 
     /// Removes primitives as long as the squared error over the samples of all channels stays within `error`.
     fn prune(&mut self, _outcome: &mut Outcome, _error: f64) -> Result<()> {

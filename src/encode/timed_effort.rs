@@ -16,6 +16,7 @@ use crate::options::EncodeOptions;
 use crate::parallel;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
+use crate::target::Target;
 
 /// Ratio at which [`SECONDS`] were measured.
 const MEASURED_RATIO: f64 = 50.0;
@@ -40,8 +41,9 @@ const SECONDS: [(f64, f64); 9] = [
 const LARGE: f64 = 2.8;
 /// Part of the work that one thread does alone.
 const SERIAL: f64 = 0.3;
-/// Duration of a search for a PSNR or a quality, relative to that of one encode.
+/// Durations of a search for a PSNR and of an encode to a quality, relative to that of an encode to a size.
 const SEARCH: f64 = 3.0;
+const QUALITY: f64 = 1.3;
 
 /// Returns the highest effort, up to that of `options`, whose encode of a picture of this size is expected to take no
 /// longer than the time budget; effort 1 if none is. It is that of `options` for a file without a layer. `texture`
@@ -67,7 +69,11 @@ pub(super) fn affordable(
     }
     let megapixels = pixels as f64 / 1e6;
     let threads = parallel::threads().max(1) as f64;
-    let tries = if is_search(options.target) { SEARCH } else { 1.0 };
+    let tries = match options.target {
+        Target::Psnr(_) => SEARCH,
+        target if is_search(target) => QUALITY,
+        _ => 1.0,
+    };
     let more_bytes = (MEASURED_RATIO / ratio).max(1.0).strict_powf(BYTES_POWER);
     let factor = slowness() * more_bytes * tries * (SERIAL + (1.0 - SERIAL) / threads);
     let fits = |&effort: &u8| {
@@ -81,7 +87,6 @@ pub(super) fn affordable(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::target::Target;
 
     #[test]
     fn the_effort_grows_with_the_time_up_to_the_requested_one() {

@@ -3,7 +3,6 @@
 use super::file;
 use super::input::stored_scene;
 use super::rate_control::AIM_ABOVE;
-use super::score::score;
 use super::session::{EncodeSession, Outcome};
 use super::whole::WholeSession;
 use crate::bitstream::splats::PackedSplats;
@@ -36,7 +35,6 @@ impl WholeSession<'_> {
             let left = splats.gaussians.iter().zip(&is_out).filter(|(_, out)| !**out).map(|(g, _)| *g);
             PackedSplats { gaussians: left.collect(), codebook: None, ..splats.clone() }
         };
-        let original = self.input.original;
         // Without the first `sure` primitives the score is still high enough; without the first `over` it is not.
         let (mut sure, mut over, mut points) = (0, order.len() + 1, outcome.quality);
         // The first guess is small, because a point is roughly a hundredth of the score.
@@ -44,7 +42,7 @@ impl WholeSession<'_> {
         let resolution = (order.len() / 1000).max(1);
         while over - sure > resolution && !self.clock.is_over() {
             let count = next.clamp(sure + 1, over - 1);
-            let found = score(original, &without(&order[..count]))?;
+            let found = self.score(&without(&order[..count]))?;
             if found >= wanted {
                 (sure, points) = (count, Some(found));
                 if found - wanted < AIM_ABOVE {
@@ -63,7 +61,7 @@ impl WholeSession<'_> {
                 break;
             }
             out.push(i);
-            let found = score(original, &without(&out))?;
+            let found = self.score(&without(&out))?;
             if found >= wanted {
                 points = Some(found);
             } else {

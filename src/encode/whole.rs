@@ -7,6 +7,8 @@ use super::channels::{Narrow, narrow};
 use super::clock::Clock;
 use super::constant::{self, constant, is_constant};
 use super::device::Choice;
+#[cfg(feature = "quality-hook")]
+use super::drawn::drawn_like;
 use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
 use super::layer::error::stored_error;
@@ -14,6 +16,8 @@ use super::layer::texture::Texture;
 use super::pipeline::run;
 use super::rate_control;
 use super::report::ReportBuilder;
+#[cfg(feature = "quality-hook")]
+use super::session::AtQuality;
 use super::session::{EncodeSession, FitRequest, KeptBase, Outcome};
 use super::skipped::SkipReason;
 use super::trace::Tracer;
@@ -28,6 +32,8 @@ use crate::options::{Detail, EncodeOptions, Needs};
 use crate::pixels::Pixels;
 use crate::round::rounded::projected;
 use crate::round::size::Size;
+#[cfg(feature = "quality-hook")]
+use crate::ssimulacra2::Reference;
 use crate::target::Target;
 use crate::used_range::UsedRange;
 
@@ -49,6 +55,9 @@ pub(super) struct WholeSession<'a> {
     pub range: Option<UsedRange>,
     /// The texture of the picture, once it is measured.
     pub texture: OnceCell<Option<Texture>>,
+    /// The picture prepared for scores, once there is one.
+    #[cfg(feature = "quality-hook")]
+    reference: Option<Reference<'a>>,
     pub report: ReportBuilder<'a>,
 }
 
@@ -87,6 +96,8 @@ pub(super) fn encode(
         base_factor: None,
         range,
         texture: OnceCell::new(),
+        #[cfg(feature = "quality-hook")]
+        reference: None,
         device,
         report,
     })
@@ -145,7 +156,18 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
 
     #[cfg(feature = "quality-hook")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
-        super::score::score(self.input.original, splats)
+        let original = self.input.original;
+        let drawn = drawn_like(splats, original)?;
+        let reference = match self.reference.take() {
+            Some(reference) => reference,
+            None => Reference::new(original)?,
+        };
+        self.reference.insert(reference).score(&drawn)
+    }
+
+    #[cfg(feature = "quality-hook")]
+    fn at_quality(&mut self, wanted: f64) -> Result<AtQuality> {
+        self.layered_to_quality(wanted)
     }
 
     fn prune(&mut self, outcome: &mut Outcome, error: f64) -> Result<()> {

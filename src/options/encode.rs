@@ -193,7 +193,7 @@ pub enum Outside {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {
-    /// Target of the encode; the default is [`Target::Auto`].
+    /// Target of the encode; the default is [`Target::Auto`], a quality of 70.
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,
@@ -247,6 +247,9 @@ pub struct EncodeOptions {
     pub icc: Option<Vec<u8>>,
     /// EXIF block to store, from its TIFF header on, regardless of `metadata`.
     pub exif: Option<Vec<u8>>,
+    /// Whether another file reaches the quality, so that a search of several fits is not worth its time.
+    #[cfg_attr(not(feature = "quality-hook"), allow(dead_code, reason = "there is no quality"))]
+    pub(crate) has_alternative: bool,
 }
 
 impl EncodeOptions {
@@ -283,6 +286,7 @@ impl Default for EncodeOptions {
             metadata: MetadataPolicy::Needed,
             icc: None,
             exif: None,
+            has_alternative: false,
         }
     }
 }

@@ -1,6 +1,8 @@
 //! SSIMULACRA2 computed by the crate `fast-ssim2`.
 
-use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimulacra2_with_config};
+use fast_ssim2::{
+    PixelDescriptor, PixelSlice, Ssimulacra2Config, Ssimulacra2Reference, compute_ssimulacra2_with_config,
+};
 
 use super::measurable::measurable;
 use crate::error::{Error, Result};
@@ -35,25 +37,77 @@ pub fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<f64> {
 /// Returns the score of pictures that can be measured as they are.
 fn measured(reference: &Pixels, test: &Pixels) -> Result<f64> {
     let size = [reference.width(), reference.height()];
-    let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
     let mut worst = f64::INFINITY;
-    for &background in backgrounds {
+    for &background in backgrounds(reference) {
         let [a, b] = [reference, test].map(|pixels| linear_light(pixels, background));
         worst = worst.min(similarity(&a, &b, size)?);
     }
     Ok(worst)
 }
 
-fn similarity(a: &[[f32; 3]], b: &[[f32; 3]], [width, height]: [u32; 2]) -> Result<f64> {
-    let failed = |e: String| Error::Parameter { parameter: Parameter::Pixels, problem: format!("SSIMULACRA2: {e}") };
-    let slice = |p| {
-        let row = width as usize * size_of::<[f32; 3]>();
-        PixelSlice::new(bytemuck::cast_slice(p), width, height, row, PixelDescriptor::RGBF32_LINEAR)
-    };
-    let is_large = u64::from(width) * u64::from(height) > STRIPED_PIXELS;
-    let config = if is_large { Ssimulacra2Config::strips(STRIP_ROWS) } else { Ssimulacra2Config::default() };
-    let (a, b) = (slice(a).map_err(|e| failed(format!("{e:?}")))?, slice(b).map_err(|e| failed(format!("{e:?}")))?);
-    compute_ssimulacra2_with_config(&a, &b, &config).map_err(|e| failed(e.to_string()))
+fn similarity(a: &[[f32; 3]], b: &[[f32; 3]], size: [u32; 2]) -> Result<f64> {
+    let config = if is_large(size) { Ssimulacra2Config::strips(STRIP_ROWS) } else { Ssimulacra2Config::default() };
+    compute_ssimulacra2_with_config(&slice(a, size)?, &slice(b, size)?, &config).map_err(failed)
+}
+
+/// Returns whether pictures of this size are measured in strips.
+fn is_large([width, height]: [u32; 2]) -> bool {
+    u64::from(width) * u64::from(height) > STRIPED_PIXELS
+}
+
+fn slice(pixels: &[[f32; 3]], [width, height]: [u32; 2]) -> Result<PixelSlice<'_>> {
+    let row = width as usize * size_of::<[f32; 3]>();
+    let slice = PixelSlice::new(bytemuck::cast_slice(pixels), width, height, row, PixelDescriptor::RGBF32_LINEAR);
+    slice.map_err(|e| failed(format!("{e:?}")))
+}
+
+fn failed(problem: impl std::fmt::Display) -> Error {
+    Error::Parameter { parameter: Parameter::Pixels, problem: format!("SSIMULACRA2: {problem}") }
+}
+
+/// A picture against which several others are measured. What the measure needs of it is computed once.
+pub(crate) struct Reference<'a> {
+    pixels: &'a Pixels,
+    /// What is computed for each background. It is empty if the picture is large or is not measured as it is.
+    computed: Vec<(f32, Ssimulacra2Reference)>,
+}
+
+impl<'a> Reference<'a> {
+    /// Prepares `pixels`.
+    ///
+    /// # Errors
+    /// An error of the measure.
+    pub(crate) fn new(pixels: &'a Pixels) -> Result<Self> {
+        let size = [pixels.width(), pixels.height()];
+        let backgrounds =
+            if is_large(size) || measurable(pixels, pixels).is_some() { &[] } else { backgrounds(pixels) };
+        let computed = backgrounds.iter().map(|&background| {
+            let computed = Ssimulacra2Reference::new(&slice(&linear_light(pixels, background), size)?);
+            Ok((background, computed.map_err(failed)?))
+        });
+        Ok(Reference { pixels, computed: computed.collect::<Result<_>>()? })
+    }
+
+    /// Returns the score of `test`, as [`ssimulacra2`] does.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if the pictures differ in width, height, channels or depth.
+    pub(crate) fn score(&self, test: &Pixels) -> Result<f64> {
+        if self.computed.is_empty() {
+            return ssimulacra2(self.pixels, test);
+        }
+        crate::metrics::check_alike(self.pixels, test)?;
+        let mut scores = self.computed.iter().map(|(background, computed)| {
+            let light = linear_light(test, *background);
+            computed.compare(&slice(&light, [test.width(), test.height()])?).map_err(failed)
+        });
+        scores.try_fold(f64::INFINITY, |worst, score| Ok(worst.min(score?)))
+    }
+}
+
+/// Returns the greys onto which a picture is composited.
+fn backgrounds(pixels: &Pixels) -> &'static [f32] {
+    if pixels.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] }
 }
 
 /// Returns `pixels`, interpreted as sRGB and composited onto a grey of the sRGB value `background`, in linear light:
@@ -95,6 +149,25 @@ fn linear(v: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::gaussian::Channels;
+
+    #[test]
+    fn a_prepared_reference_gives_the_same_scores() {
+        for (side, channels) in [(80, Channels::Rgb), (80, Channels::Rgba), (70, Channels::Grey), (20, Channels::Rgb)] {
+            let count = side * side * channels.count() as u32;
+            let picture = |noise: u32| {
+                let samples = (0..count).map(|i| (i / 90 % 200 + (i.wrapping_mul(2_654_435_761) >> 24) % noise) as u8);
+                Pixels::new(side, side, channels, Samples::U8(samples.collect())).unwrap()
+            };
+            let (a, b) = (picture(1), picture(30));
+            let reference = Reference::new(&a).unwrap();
+            assert_eq!(reference.score(&b).unwrap(), ssimulacra2(&a, &b).unwrap(), "{side} {channels:?}");
+            assert_eq!(
+                reference.computed.len(),
+                if side < 64 { 0 } else { 1 + usize::from(channels == Channels::Rgba) }
+            );
+            assert!(reference.score(&picture(1).clone()).unwrap() > 99.9);
+        }
+    }
 
     #[test]
     fn opaque_samples_are_as_light_with_alpha_as_without() {

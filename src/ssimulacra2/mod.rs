@@ -13,6 +13,8 @@ mod measurable;
 )]
 mod provided;
 
+#[cfg(feature = "quality")]
+pub(crate) use computed::Reference;
 #[cfg(all(feature = "quality", any(test, feature = "unstable")))]
 pub use computed::linear_light;
 #[cfg(feature = "quality")]
@@ -20,4 +22,10 @@ pub use computed::ssimulacra2;
 #[cfg(all(not(feature = "quality"), feature = "unstable"))]
 pub use provided::provide_score;
 #[cfg(not(feature = "quality"))]
-pub(crate) use provided::ssimulacra2;
+pub(crate) use provided::{Reference, is_provided, ssimulacra2};
+
+/// Returns whether this program measures scores.
+#[cfg(feature = "quality")]
+pub(crate) fn is_provided() -> bool {
+    true
+}

@@ -33,6 +33,30 @@ pub(crate) fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<f64> {
     })
 }
 
+/// A picture against which several others are measured.
+pub(crate) struct Reference<'a>(&'a Pixels);
+
+impl<'a> Reference<'a> {
+    /// Prepares `pixels`.
+    #[allow(clippy::unnecessary_wraps, reason = "the computed measure can fail")]
+    pub(crate) fn new(pixels: &'a Pixels) -> Result<Self> {
+        Ok(Reference(pixels))
+    }
+
+    /// Returns the score of `test`, as [`ssimulacra2`] does.
+    ///
+    /// # Errors
+    /// As [`ssimulacra2`].
+    pub(crate) fn score(&self, test: &Pixels) -> Result<f64> {
+        ssimulacra2(self.0, test)
+    }
+}
+
+/// Returns whether this program provides a score.
+pub(crate) fn is_provided() -> bool {
+    SCORE.get().is_some()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

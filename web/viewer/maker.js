@@ -7,7 +7,7 @@ import { PictureError, likeIn, readPicture } from "./picture.js"
 const get = id => document.getElementById(id)
 // Delay between the last change of the controls and the start of an encode, milliseconds.
 const pause = 350
-// Ratio at the middle of the slider, 0: the default of the program. 50 steps to the right divide it by ten.
+// Ratio at the middle of the slider, 0, where it starts. 50 steps to the right divide it by ten.
 const ratio = 50, steps = 50
 // Initial effort by megapixels, so that a photograph of 12 megapixels is encoded within half a minute.
 const efforts = [[0.5, 5], [1.5, 3], [3, 2], [Infinity, 1]]

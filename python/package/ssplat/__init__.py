@@ -1,10 +1,10 @@
 """Pictures stored as 2D Gaussians: the .ssplat codec.
 
     import ssplat
-    data = ssplat.encode("photo.png", ratio=50)    # bytes of a file
+    data = ssplat.encode("photo.png", quality=70)  # bytes of a file
     pixels = ssplat.decode(data)                   # numpy array
 
-If Pillow is installed, ``Image.open("x.ssplat")`` and ``image.save("x.ssplat", ratio=50)`` work once this module is
+If Pillow is installed, ``Image.open("x.ssplat")`` and ``image.save("x.ssplat", quality=70)`` work once this module is
 imported. All functions release the GIL, may be called from any thread, and work in forked and spawned processes. Errors
 are subclasses of :class:`Error`; see :mod:`ssplat.errors`.
 """

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Points by which a file may miss the quality that is asked for.
 _CLOSE = 0.5
+#: Quality of a file for which no target is given.
+_DEFAULT_QUALITY = 70.0
 _KEEP: Any = type("_Keep", (), {"__repr__": lambda self: "KEEP"})()
 
 
@@ -59,14 +61,15 @@ def encode(
             samples are copied once, so the array may change in the meantime. An array that is not contiguous or not in
             native byte order is copied once more. Other types raise a ParameterError. A ``numpy.memmap`` with ``tiles``
             is read in parts.
-        ratio: bytes of the samples at 8 bits each, divided by bytes of the file. 50 if no target is given.
+        ratio: bytes of the samples at 8 bits each, divided by bytes of the file.
         bytes: maximum size of the file.
         psnr: PSNR to reach, dB. The result is the smallest file found that reaches it. If ``time`` runs out first, the
             result is the best file so far, with a QualityWarning.
         primitives: number of Gaussians.
         quality: perceptual quality to reach, 0 to 100: the SSIMULACRA2 score of the file, within half a point. Low,
-            medium, high and very high quality are about 30, 50, 70 and 90. The search takes up to six tries. A
-            QualityWarning is issued if the score is not reached.
+            medium, high and very high quality are about 30, 50, 70 and 90. 70 if no target is given. Where the picture
+            without loss takes no more bytes, it is stored without loss. A QualityWarning is issued if the score is not
+            reached.
         lossless: the file decodes to the samples of the picture. Colours under alpha 0 become black unless
             ``keep_hidden`` is set. At most one of these six targets may be given.
         effort: 1 to 9.
@@ -138,10 +141,9 @@ def encode(
         "keep_hidden": keep_hidden,
     }
     data, found, reached = _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
-    if quality is not None and found is not None and abs(found - quality) > _CLOSE:
-        missed = f"quality {quality} was not met: the file has {found:.1f}"
-        larger = f"no smaller file with quality {quality} was found: this one has {found:.1f}"
-        warnings.warn(larger if found > quality else missed, QualityWarning, stacklevel=2)
+    wanted = _DEFAULT_QUALITY if quality is None else quality
+    if found is not None and found < wanted - _CLOSE:
+        warnings.warn(f"quality {wanted:g} was not met: the file has {found:.1f}", QualityWarning, stacklevel=2)
     if psnr is not None and reached < psnr:
         warnings.warn(f"psnr {psnr} was not met: the file has {reached:.2f} dB", QualityWarning, stacklevel=2)
     return data

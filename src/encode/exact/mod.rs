@@ -15,6 +15,8 @@ use std::ops::ControlFlow;
 use self::mask::Cover;
 use self::survey::{Survey, equal_neighbours, finished, sharp_edges, without_hidden};
 use super::drawn::{drawn_like, own_limits};
+#[cfg(feature = "quality-hook")]
+use super::layer::to_quality::predicted_bytes;
 use super::rate_control::picture_size;
 use super::report::ReportBuilder;
 #[cfg(feature = "quality-hook")]
@@ -33,6 +35,8 @@ use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::rect::Rect;
 use crate::round::size::Size;
+#[cfg(feature = "quality-hook")]
+use crate::ssimulacra2::Reference;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
@@ -56,6 +60,11 @@ const MAX_SURE_TOLERANCE: u32 = 2;
 const QUICK_EFFORT: u8 = 1;
 /// What a higher effort can gain at most, in decibels: of MS-SSIM or PSNR.
 const MAX_GAIN: f64 = 2.0;
+/// Smallest size of a file of Gaussians and a detail layer relative to its prediction.
+const MIN_PREDICTED: f64 = 0.75;
+/// Size of a file with near colours, relative to that prediction, up to which one fit of Gaussians is enough to compare
+/// it with. A search of several fits would take up to six times as long, for files of a few kilobytes.
+const FEW_BYTES: f64 = 1.5;
 /// Minimum share of the time limit that remains for Gaussians and the detail layer.
 const MIN_TIME: f64 = 0.05;
 
@@ -82,22 +91,92 @@ pub(super) fn lossless(
     finish(exact, None, options, report)
 }
 
-/// Returns whether the encoder should try an exact layer for the picture of `source`: its pixels are often equal to their
-/// neighbours, and the options leave the layers to the encoder.
+/// Quality from which on a picture is stored without loss and no other file is tried.
+#[cfg(feature = "quality-hook")]
+const LOSSLESS_QUALITY: f64 = 99.5;
+/// Quality from which on the picture without loss is tried whatever its estimated size.
+#[cfg(feature = "quality-hook")]
+const TRIED_QUALITY: f64 = 97.0;
+/// Smallest size of a picture without loss relative to its estimate.
+#[cfg(feature = "quality-hook")]
+const SMALLEST_LOSSLESS: f64 = 0.7;
+/// Points by which a file may miss a quality, and by which near colours may.
+#[cfg(feature = "quality-hook")]
+const MISSED: f64 = 0.5;
+#[cfg(feature = "quality-hook")]
+const CLOSE: f64 = 0.4;
+
+/// Encodes a picture that is not stored with near colours.
 ///
 /// # Errors
-/// Returns an error of `source`.
-pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions) -> Result<bool> {
-    let may_choose = options.layout == Layout::Coded
+/// As [`encode_lossy`] and [`lossless`].
+pub(super) fn encode_photograph(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    match options.target {
+        #[cfg(feature = "quality-hook")]
+        Target::Quality(wanted) if may_choose(options) => to_quality(source, options, wanted, executor, progress),
+        _ => encode_lossy(source, options, executor, progress),
+    }
+}
+
+/// Encodes the picture of `source` to a quality: with Gaussians and a detail layer, or without loss if that takes no more
+/// bytes or if the other file misses the quality.
+///
+/// # Errors
+/// As [`encode_lossy`] and [`lossless`].
+#[cfg(feature = "quality-hook")]
+fn to_quality(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    wanted: f64,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    if wanted >= LOSSLESS_QUALITY {
+        return lossless(source, options, progress);
+    }
+    let lossy = encode_lossy(source, options, executor, progress)?;
+    let is_missed = lossy.report.quality.is_some_and(|found| found < wanted - MISSED);
+    let seconds = lossy.report.seconds;
+    let is_late = options.time.is_some_and(|time| seconds >= time.as_secs_f64());
+    let is_tried = is_missed
+        || wanted >= TRIED_QUALITY
+        || SMALLEST_LOSSLESS * survey::estimated_bytes(source)? <= lossy.bytes.len() as f64;
+    if is_late || !is_tried {
+        return Ok(lossy);
+    }
+    let mut exact = lossless(source, options, progress)?;
+    if !is_missed && exact.bytes.len() > lossy.bytes.len() {
+        return Ok(lossy);
+    }
+    exact.report.seconds += seconds;
+    Ok(exact)
+}
+
+/// Returns whether the options leave it to the encoder to choose an exact layer.
+fn may_choose(options: &EncodeOptions) -> bool {
+    options.layout == Layout::Coded
         && options.detail == Detail::Auto
         && options.needs == Needs::Measured
         && options.recipe == Recipe::Ssplat
         && options.blend.is_none()
         && options.levels == 1
         && options.trace == Trace::Off
-        && !matches!(options.target, Target::Primitives(_) | Target::Lossless);
+        && !matches!(options.target, Target::Primitives(_) | Target::Lossless)
+}
+
+/// Returns whether the encoder should try an exact layer for the picture of `source`: its pixels are often equal to their
+/// neighbours, and the options leave the layers to the encoder.
+///
+/// # Errors
+/// Returns an error of `source`.
+pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions) -> Result<bool> {
     let [width, height] = source.size();
-    if !may_choose || height < 2 || u64::from(width) * u64::from(height) > MAX_TRIED_PIXELS {
+    if !may_choose(options) || height < 2 || u64::from(width) * u64::from(height) > MAX_TRIED_PIXELS {
         return Ok(false);
     }
     let pairs = SAMPLED_PAIRS.min(height / 2);
@@ -130,14 +209,14 @@ pub(super) fn encode(
     let mut report = ReportBuilder::new(&mut *progress, Tracer::new(options.trace));
     let survey = Survey::of(source, options, &mut report)?;
     if survey.is_constant {
-        return encode_lossy(source, options, executor, progress);
+        return encode_photograph(source, options, executor, progress);
     }
     let goal = Goal::of(options, &survey);
     let pixels = source.part(Rect::new(0, 0, survey.size[0], survey.size[1]))?;
     let mask = match mask::cover(&survey, &pixels) {
         Cover::All => None,
         Cover::Some(mask) => Some(mask),
-        Cover::Nothing => return encode_lossy(source, options, executor, progress),
+        Cover::Nothing => return encode_photograph(source, options, executor, progress),
     };
     let since = report.seconds();
     report.stage_progress("exact layer", 0.0)?;
@@ -149,7 +228,8 @@ pub(super) fn encode(
     if exact.as_ref().is_some_and(|exact| goal.is_met_by_size(exact, options)) {
         return finish(exact.expect("it is met"), None, options, report);
     }
-    let near = search::near(&survey, &pixels, mask.as_ref(), &goal, options, &mut report)?;
+    let judge = Judge::new(&pixels, &goal)?;
+    let near = search::near(&survey, &judge, mask.as_ref(), options, &mut report)?;
     let near = match goal {
         Goal::Bytes(_) => near,
         // Without loss, every quality is reached.
@@ -158,9 +238,13 @@ pub(super) fn encode(
     let time = options.time.map(|time| time.mul_f64((1.0 - report.seconds() / time.as_secs_f64()).max(MIN_TIME)));
     let lossy_options = EncodeOptions { time, ..options.clone() };
     let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, report.progress) };
-    if near.tolerance > MAX_SURE_TOLERANCE || !matches!(goal, Goal::Bytes(_)) {
+    let is_sure = near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
+    let predicted = if is_sure { 0.0 } else { goal.predicted_bytes(&pixels, options) };
+    if !is_sure && near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
+        let has_alternative = near.tolerance > 0 && near.bytes.len() as f64 <= FEW_BYTES * predicted;
+        let lossy_options = EncodeOptions { has_alternative, ..lossy_options };
         let since = report.seconds();
-        match lossy(source, &pixels, &near, &goal, &lossy_options, executor, &mut report) {
+        match lossy(source, &judge, &near, &lossy_options, executor, &mut report) {
             Ok(Some(lossy)) => return Ok(lossy),
             Ok(None) | Err(Error::TooSmall { .. } | Error::LimitExceeded { .. }) => {}
             Err(error) => return Err(error),
@@ -173,37 +257,44 @@ pub(super) fn encode(
 /// Encodes the picture of `source` with Gaussians and a detail layer. Returns `None` if `near` is better.
 fn lossy(
     source: &dyn PixelSource,
-    pixels: &Pixels,
+    judge: &Judge<'_>,
     near: &Candidate,
-    goal: &Goal,
     options: &EncodeOptions,
     executor: Executor<'_>,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Encoded>> {
     let progress = &mut *report.progress;
-    if let Goal::Bytes(_) = goal {
-        let other = dissimilarity(pixels, &near.splats, options)?;
+    if let Goal::Bytes(_) = judge.goal {
+        let other = dissimilarity(judge.pixels, &near.splats, options)?;
         if options.effort > QUICK_EFFORT {
             let quick = EncodeOptions { effort: QUICK_EFFORT, ..options.clone() };
             let quick = encode_lossy(source, &quick, Executor::Own, progress)?;
-            let quick = dissimilarity(pixels, &read(&quick.bytes)?, options)?;
+            let quick = dissimilarity(judge.pixels, &read(&quick.bytes)?, options)?;
             if quick > other + MAX_GAIN {
                 return Ok(None);
             }
         }
         let lossy = encode_lossy(source, options, executor, progress)?;
-        let own = dissimilarity(pixels, &read(&lossy.bytes)?, options)?;
+        let own = dissimilarity(judge.pixels, &read(&lossy.bytes)?, options)?;
         return Ok((own <= other).then_some(lossy));
     }
-    // One fit shows whether a search can find a smaller file.
-    let same_size =
-        EncodeOptions { target: Target::Bytes(near.bytes.len() as u64), icc: None, exif: None, ..options.clone() };
-    let same_size = EncodeOptions { thumbnail: Thumbnail::Never, ..same_size };
-    let first = encode_lossy(source, &same_size, Executor::Own, progress)?;
-    if !goal.is_met(pixels, &read(&first.bytes)?)? {
-        return Ok(None);
+    if let Goal::Psnr(_) = judge.goal {
+        // One fit shows whether a search can find a smaller file.
+        let same_size =
+            EncodeOptions { target: Target::Bytes(near.bytes.len() as u64), icc: None, exif: None, ..options.clone() };
+        let same_size = EncodeOptions { thumbnail: Thumbnail::Never, ..same_size };
+        let first = encode_lossy(source, &same_size, Executor::Own, progress)?;
+        if !judge.is_met(&read(&first.bytes)?)? {
+            return Ok(None);
+        }
     }
     let lossy = encode_lossy(source, options, executor, progress)?;
+    #[cfg(feature = "quality-hook")]
+    if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
+        && found < wanted - MISSED
+    {
+        return Ok(None);
+    }
     let plain = PackedSplats { metadata: Metadata::default(), ..read(&lossy.bytes)? };
     Ok((to_bytes(&plain)?.len() < near.bytes.len()).then_some(lossy))
 }
@@ -266,19 +357,54 @@ impl Goal {
         }
     }
 
+    /// Returns about the bytes of a file of Gaussians and a detail layer that reaches a quality; 0 for another goal.
+    #[cfg_attr(not(feature = "quality-hook"), allow(unused_variables, reason = "there is no quality"))]
+    fn predicted_bytes(&self, pixels: &Pixels, options: &EncodeOptions) -> f64 {
+        match *self {
+            Goal::Bytes(_) | Goal::Psnr(_) => 0.0,
+            #[cfg(feature = "quality-hook")]
+            Goal::Quality(wanted) => predicted_bytes(pixels, options, wanted),
+        }
+    }
+
     /// Returns whether a size is requested into which a file and its thumbnail fit.
     fn is_met_by_size(&self, file: &Candidate, options: &EncodeOptions) -> bool {
         let size = [file.splats.width, file.splats.height];
         matches!(*self, Goal::Bytes(bytes) if file.bytes.len() as u64 + thumbnail::reserved(options, size, bytes) <= bytes)
     }
+}
+
+/// Tells whether files reach a goal.
+struct Judge<'a> {
+    pixels: &'a Pixels,
+    goal: &'a Goal,
+    /// The picture prepared for scores.
+    #[cfg(feature = "quality-hook")]
+    reference: Option<Reference<'a>>,
+}
+
+impl<'a> Judge<'a> {
+    #[cfg_attr(not(feature = "quality-hook"), allow(clippy::unnecessary_wraps, reason = "a score can fail"))]
+    fn new(pixels: &'a Pixels, goal: &'a Goal) -> Result<Self> {
+        Ok(Judge {
+            pixels,
+            goal,
+            #[cfg(feature = "quality-hook")]
+            reference: if let Goal::Quality(_) = goal { Some(Reference::new(pixels)?) } else { None },
+        })
+    }
 
     /// Returns whether a file reaches the goal, other than a size.
-    fn is_met(&self, pixels: &Pixels, splats: &PackedSplats) -> Result<bool> {
-        Ok(match *self {
+    fn is_met(&self, splats: &PackedSplats) -> Result<bool> {
+        let drawn = || drawn_like(splats, self.pixels);
+        Ok(match *self.goal {
             Goal::Bytes(_) => true,
-            Goal::Psnr(psnr) => metrics::psnr(pixels, &drawn_like(splats, pixels)?)? >= psnr,
+            Goal::Psnr(psnr) => metrics::psnr(self.pixels, &drawn()?)? >= psnr,
             #[cfg(feature = "quality-hook")]
-            Goal::Quality(quality) => score(pixels, splats)? >= quality,
+            Goal::Quality(quality) => {
+                let reference = self.reference.as_ref().expect("the goal is a quality");
+                reference.score(&drawn()?)? >= quality - CLOSE
+            }
         })
     }
 }

@@ -3,7 +3,7 @@
 use super::mask::Mask;
 use super::mixed::BASE_SHARE;
 use super::survey::{SIDES, Survey};
-use super::{Candidate, Goal, mixed};
+use super::{Candidate, Goal, Judge, mixed};
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::near::approximate;
 use crate::bitstream::exact::tile::Shape;
@@ -13,7 +13,6 @@ use crate::encode::thumbnail;
 use crate::error::Result;
 use crate::options::EncodeOptions;
 use crate::parallel;
-use crate::pixels::Pixels;
 use crate::strict_math::StrictMath;
 
 /// Largest tolerance, in 8-bit code values. With larger ones, letters lose their shape.
@@ -40,29 +39,28 @@ struct Approximation {
 /// [`Error::Cancelled`](crate::Error::Cancelled) if the caller cancels.
 pub(super) fn near(
     survey: &Survey,
-    pixels: &Pixels,
+    judge: &Judge<'_>,
     mask: Option<&Mask>,
-    goal: &Goal,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
     let since = report.seconds();
-    let masked = mask.map(|mask| ExactLayer::of(pixels, SIDES[0], |x, y| mask.covers([x, y])));
+    let masked = mask.map(|mask| ExactLayer::of(judge.pixels, SIDES[0], |x, y| mask.covers([x, y])));
     let layer = masked.as_ref().unwrap_or(&survey.layer);
-    let found = match *goal {
+    let found = match *judge.goal {
         Goal::Bytes(bytes) => {
             let bytes = bytes.saturating_sub(thumbnail::reserved(options, survey.size, bytes));
             fitting(survey, layer, mask, bytes, report)?.map(|found| (found, bytes))
         }
         _ if mask.is_some() => None,
-        _ => return reaching(survey, pixels, goal, options, report),
+        _ => return reaching(survey, judge, options, report),
     };
     report.stage("exact layer", since);
     let Some(((layer, tolerance), bytes)) = found else { return Ok(None) };
     let file = survey.file(layer, options);
     match mask {
         None => Candidate::new(file, tolerance).map(Some),
-        Some(mask) => mixed::file((file, tolerance), mask, pixels, bytes, options, report),
+        Some(mask) => mixed::file((file, tolerance), mask, judge.pixels, bytes, options, report),
     }
 }
 
@@ -108,8 +106,7 @@ fn fitting(
 /// Returns the file with the largest tolerance that reaches a quality, if one does.
 fn reaching(
     survey: &Survey,
-    pixels: &Pixels,
-    goal: &Goal,
+    judge: &Judge<'_>,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
@@ -118,7 +115,7 @@ fn reaching(
     while reaches + 1 < misses {
         report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
         let splats = survey.file(approximated(survey, &survey.layer, next).layer, options);
-        if goal.is_met(pixels, &splats)? {
+        if judge.is_met(&splats)? {
             (reaches, best) = (next, Some((splats, next)));
         } else {
             misses = next;

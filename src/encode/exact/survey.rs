@@ -17,6 +17,8 @@ use crate::options::{EncodeOptions, HiddenColors};
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::rect::Rect;
+#[cfg(feature = "quality-hook")]
+use crate::strict_math::StrictMath;
 
 /// Logarithms of the tiles' sides: for pictures in which neighbouring pixels are often equal, which gain from
 /// repetitions far away, and for all others, which gain from parallel decoding.
@@ -100,6 +102,50 @@ impl Survey {
         splats.exact = Some(Arc::new(layer));
         splats
     }
+}
+
+/// Number of pairs of rows from which the bytes of a picture are estimated.
+#[cfg(feature = "quality-hook")]
+const ESTIMATED_PAIRS: u32 = 32;
+
+/// Estimates the bytes of a picture without loss from the differences of some samples from their neighbours.
+///
+/// # Errors
+/// Returns an error of `source`.
+#[cfg(feature = "quality-hook")]
+pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
+    /// Bits of the samples in the second of two rows.
+    fn bits<T: Copy + Into<i32>>(samples: &[T], count: usize) -> f64 {
+        let (above, row) = samples.split_at(samples.len() / 2);
+        let value = |row: &[T], at: usize| -> i32 { row[at].into() };
+        let each = |at: usize| {
+            // The lesser of the differences from the neighbours and from a plane through them. Differences of colours
+            // are relative to that of the channel before.
+            let difference = |at: usize| {
+                let [left, up, corner] = [value(row, at - count), value(above, at), value(above, at - count)];
+                value(row, at) - (left + up - corner).clamp(left.min(up), left.max(up))
+            };
+            let own = difference(at);
+            let rest = if at % count > 0 && count >= 3 { own - difference(at - 1) } else { own };
+            (2.0 * f64::from(own.abs().min(rest.abs())) + 1.0).strict_log2() + 0.5
+        };
+        (count..row.len()).map(each).sum()
+    }
+    let [width, height] = source.size();
+    let pairs = ESTIMATED_PAIRS.min(height / 2);
+    let (mut sum, mut samples) = (0.0, 0.0);
+    for i in 0..pairs {
+        let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
+        let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
+        let count = rows.channels().count();
+        sum += match rows.samples() {
+            Samples::U8(v) => bits(v, count),
+            Samples::U16(v) => bits(v, count),
+        };
+        samples += f64::from(width) * count as f64;
+    }
+    let all = f64::from(width) * f64::from(height) * source.channels().count() as f64;
+    Ok(if samples > 0.0 { all * sum / samples / 8.0 } else { 0.0 })
 }
 
 /// Adds metadata and a thumbnail to a file, of which `bytes` has neither, and returns its bytes.

@@ -29,7 +29,7 @@ use crate::target::Target;
 
 /// Maximum number of pixels for which memory holds the whole residual, at about 30 bytes per pixel. For larger pictures
 /// the encoder computes the residual one part at a time and fits the Gaussians only once.
-const LARGEST: u64 = 1 << 26;
+pub(super) const LARGEST: u64 = 1 << 26;
 /// Minimum gain of a larger base, in decibels, that justifies trying the largest one.
 const MIN_GAIN: f64 = 0.22;
 /// Bytes of the layer for which sharpness is measured, relative to those of the base. Findings at a ratio of 50 hold at
@@ -52,17 +52,19 @@ const MAX_TRIED_SHARE: f64 = 0.82;
 const MIN_IMPROVEMENT: f64 = 0.98;
 
 /// A file whose bytes are divided between Gaussians and layer.
-struct Division {
+pub(super) struct Division {
     /// Size of header and metadata, bytes.
-    fixed: u64,
+    pub fixed: u64,
     /// Bytes that Gaussians and layer share.
-    shared: u64,
+    pub shared: u64,
     /// The texture of the picture, if the division depends on it.
-    texture: Option<Texture>,
+    pub texture: Option<Texture>,
     /// Maximum number of rounds in which the Gaussians are optimized under the layer.
-    rounds: u32,
+    pub rounds: u32,
+    /// The ratio of the file, if fits of large files should be longer.
+    pub fit_ratio: Option<f64>,
     /// The deadline.
-    until: Option<Instant>,
+    pub until: Option<Instant>,
 }
 
 impl WholeSession<'_> {
@@ -80,7 +82,9 @@ impl WholeSession<'_> {
         }
         let limit = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
         let until = limit.and_then(|limit| Instant::now().checked_add(limit));
-        let division = |texture| Division { fixed, shared, texture, rounds: self.rounds(shared), until };
+        // A search runs several fits, so it does not extend them for large files.
+        let fit_ratio = (!is_search(options.target)).then(|| self.samples() / shared as f64);
+        let division = |texture| Division { fixed, shared, texture, rounds: self.rounds(shared), fit_ratio, until };
         match options.detail {
             Detail::Share(share) => {
                 let division = division(self.texture());
@@ -116,7 +120,7 @@ impl WholeSession<'_> {
     }
 
     /// Returns the texture of the picture if the division of the bytes depends on it.
-    fn texture(&self) -> Option<Texture> {
+    pub(super) fn texture(&self) -> Option<Texture> {
         if self.input.options.favoured() == Tune::Iq { self.measured_texture() } else { None }
     }
 
@@ -127,7 +131,7 @@ impl WholeSession<'_> {
 
     /// Returns the number of rounds in which the Gaussians' integers are optimized under the layer, in a file of
     /// `shared` bytes without header and metadata.
-    fn rounds(&self, shared: u64) -> u32 {
+    pub(super) fn rounds(&self, shared: u64) -> u32 {
         let tune = self.input.options.favoured();
         match self.input.options.effort {
             1 => 0,
@@ -156,11 +160,9 @@ impl WholeSession<'_> {
 
     /// Fits Gaussians of `bytes` bytes, without header and metadata, as the base of a layer. The fit continues
     /// `initial` if there are any.
-    fn base(&mut self, bytes: u64, division: &Division, initial: Vec<Primitive>) -> Result<Outcome> {
+    pub(super) fn base(&mut self, bytes: u64, division: &Division, initial: Vec<Primitive>) -> Result<Outcome> {
         let time = base_time(self.input.options.effort, division.until);
-        let ratio = self.samples() / division.shared as f64;
-        // A search runs several fits, so it does not extend them for large files.
-        let ratio = (!is_search(self.input.options.target)).then_some(ratio);
+        let ratio = division.fit_ratio;
         let patience = division::patience(self.input.options.effort, self.pixels(), division.texture, ratio);
         let under_layer = UnderLayer { ratio, patience };
         let size = Size::Bytes(division.fixed + bytes);
@@ -177,7 +179,7 @@ impl WholeSession<'_> {
 
     /// Finds the division of the bytes and encodes the file. `alone` requests the same file without a layer.
     fn divided(&mut self, division: &Division, alone: &FitRequest) -> Result<Outcome> {
-        let &Division { fixed, shared, texture, rounds, until } = division;
+        let &Division { fixed, shared, texture, rounds, until, .. } = division;
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.samples() / all).max(20.0);
         let suited = division::base_bytes(self.input.options.effort, self.pixels(), texture, ratio, all);
@@ -236,7 +238,7 @@ impl WholeSession<'_> {
 
     /// Encodes with more and with fewer bytes for the Gaussians than the base of `first`, whose budget is `few` bytes, as
     /// long as MS-SSIM increases. Returns the best result and the budget of its base.
-    fn best_division(&mut self, first: Layered, few: f64, division: &Division) -> Result<(Layered, f64)> {
+    pub(super) fn best_division(&mut self, first: Layered, few: f64, division: &Division) -> Result<(Layered, f64)> {
         let most = MAX_TRIED_SHARE * division.shared as f64;
         let Some(mut dissimilarity) = self.dissimilarity(&first)? else { return Ok((first, few)) };
         let mut best = (first, few);

@@ -16,6 +16,8 @@ mod residual;
 mod search;
 mod slopes;
 pub(super) mod texture;
+#[cfg(feature = "quality-hook")]
+pub(super) mod to_quality;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -255,6 +257,14 @@ impl WholeSession<'_> {
         settings
     }
 
+    /// Returns whether a layer of `bytes` bytes is coded with the parameters for drawings.
+    fn is_coded_as_drawing(&self, bytes: f64) -> bool {
+        let bits = 8.0 * bytes / self.pixels() as f64;
+        self.range.is_none()
+            && bits >= least_drawing_bits(self.pixels())
+            && self.measured_texture().is_some_and(|texture| texture.is_drawing())
+    }
+
     /// Codes the residual of the Gaussians of `splats`, for a file of at most `max_bytes` bytes.
     fn coded(&self, splats: &PackedSplats, max_bytes: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
         let mut settings = self.settings_of_layer(0);
@@ -263,12 +273,7 @@ impl WholeSession<'_> {
         let is_drawing = match near {
             // The search may keep the blocks of `near`, so the range of block sizes must be the same.
             Some(near) => near.layer.head.sizes == for_drawing(settings, Tune::Psnr).coding.head.sizes,
-            None => {
-                let bits = 8.0 * bytes as f64 / self.pixels() as f64;
-                self.range.is_none()
-                    && bits >= least_drawing_bits(self.pixels())
-                    && self.measured_texture().is_some_and(|texture| texture.is_drawing())
-            }
+            None => self.is_coded_as_drawing(bytes as f64),
         };
         if is_drawing {
             let drawing = for_drawing(settings, self.input.options.favoured());

@@ -84,20 +84,48 @@ const LEVEL_BITS: f64 = 5.0;
 /// Magnitude in steps above which a coefficient is likely to have a level.
 const LIKELY: f32 = 0.8;
 
+/// Codes one residual with several steps, in the same blocks.
+pub(super) struct Coder<'a> {
+    tiles: &'a [TileResidual],
+    settings: &'a SearchSettings,
+    classes: Vec<Vec<u8>>,
+    kept: Vec<KeptBase>,
+    sizes: Option<Vec<BlockSizes>>,
+}
+
+impl<'a> Coder<'a> {
+    /// Prepares to code the layer of `tiles` with about this step. `near` is a layer of nearly the same tiles, whose
+    /// blocks are kept if `settings` says so. Otherwise the first run chooses the blocks.
+    pub(super) fn new(
+        tiles: &'a [TileResidual],
+        settings: &'a SearchSettings,
+        step: f64,
+        near: Option<&Coded>,
+    ) -> Coder<'a> {
+        let activity = activities(tiles, settings);
+        let classes = Masking::new(&activity, settings, step).classes(&activity);
+        let kept = if tiles.len() <= KEPT_TILES { vec![KeptBase::new(); tiles.len()] } else { Vec::new() };
+        let sizes = near.filter(|_| settings.keeps_blocks).map(|near| near.sizes.clone());
+        Coder { tiles, settings, classes, kept, sizes }
+    }
+
+    /// Codes the layer with `step`.
+    pub(super) fn run(&mut self, step: u16) -> Coded {
+        let coded = code(self.tiles, &self.classes, self.settings, step, (self.sizes.as_deref(), &self.kept));
+        self.sizes.get_or_insert_with(|| coded.sizes.clone());
+        coded
+    }
+}
+
 /// Returns the layer of `tiles` with the smallest step that fits, or `None` if none fits. `near` is a layer of nearly
 /// the same tiles. The search starts at its step and keeps its blocks if `settings` says so.
 pub(super) fn search(tiles: &[TileResidual], settings: &SearchSettings, near: Option<&Coded>) -> Option<Coded> {
-    let mut sizes = near.filter(|_| settings.keeps_blocks).map(|near| near.sizes.clone());
-    let step = near.map_or_else(|| guess(tiles, settings), |near| f64::from(near.layer.head.step));
-    let activity = activities(tiles, settings);
-    let classes = Masking::new(&activity, settings, step).classes(&activity);
-    let kept: Vec<KeptBase> = if tiles.len() <= KEPT_TILES { vec![KeptBase::new(); tiles.len()] } else { Vec::new() };
-    let run = |step: u16| {
-        let coded = code(tiles, &classes, settings, step, (sizes.as_deref(), &kept));
-        sizes.get_or_insert_with(|| coded.sizes.clone());
-        Ok::<_, std::convert::Infallible>(coded)
-    };
-    let Ok(found) = smallest_step(settings, step, run);
+    let step = near.map_or_else(
+        || Magnitudes::of(tiles, settings).step_for(settings.max_bytes as f64),
+        |near| f64::from(near.layer.head.step),
+    );
+    let mut coder = Coder::new(tiles, settings, step, near);
+    let Ok(found) = smallest_step(settings, step, |step| Ok::<_, std::convert::Infallible>(coder.run(step)));
     found
 }
 
@@ -204,8 +232,13 @@ pub(super) fn code(
     Coded { layer: DetailLayer { head: coding.head, tiles: levels }, bytes, sizes }
 }
 
-/// Estimates the step that fits the byte budget, from the magnitudes of the coefficients in blocks of 8 and 16.
-fn guess(tiles: &[TileResidual], settings: &SearchSettings) -> f64 {
+/// The magnitudes of the coefficients of a residual in blocks of 8 and 16, which tell about how many bytes a layer takes.
+pub(super) struct Magnitudes {
+    /// Number of coefficients by the binary logarithm of their magnitude.
+    counts: Vec<u32>,
+}
+
+impl Magnitudes {
     /// Number of bins per octave.
     const FINE: f32 = 4.0;
     const BINS: usize = 128;
@@ -213,45 +246,66 @@ fn guess(tiles: &[TileResidual], settings: &SearchSettings) -> f64 {
     const SAMPLED: usize = 4;
     /// Step in which the coefficients are measured.
     const UNIT: u16 = 1024;
-    let mut head = settings.coding.head;
-    (head.step, head.classes) = (UNIT, 1);
-    settings.slopes.apply(&mut head);
-    let bins = parallel::map(tiles.len(), |i| {
-        let tile = &tiles[i];
-        let mut bins = vec![0u32; BINS];
-        let cells = tile.size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
-        for plane in 0..PLANES {
-            let size = if plane == 1 || plane == 2 { 2 } else { 1 };
-            let values = coefficients::plane(tile, plane, Division::Even(size));
-            if values.is_empty() {
-                continue;
-            }
-            let steps = PlaneSteps::new(&head, plane, 0);
-            let n = CELL << size;
-            for y in (0..cells[1] * CELL).filter(|y| (y / n).is_multiple_of(SAMPLED)) {
-                for x in 0..cells[0] * CELL {
-                    let step = steps.step(size.into(), x % n, y % n);
-                    let value = values[y * TILE + x].abs() * 4.0 / step as f32;
-                    // The exponent and the first two bits of the mantissa make about four times the binary logarithm.
-                    let bin = ((value.to_bits() >> 21) as usize + BINS / 2).saturating_sub(127 << 2).min(BINS - 1);
-                    bins[bin] += SAMPLED as u32;
+
+    pub(super) fn of(tiles: &[TileResidual], settings: &SearchSettings) -> Magnitudes {
+        let mut head = settings.coding.head;
+        (head.step, head.classes) = (Self::UNIT, 1);
+        settings.slopes.apply(&mut head);
+        let bins = parallel::map(tiles.len(), |i| {
+            let tile = &tiles[i];
+            let mut bins = vec![0u32; Self::BINS];
+            let cells = tile.size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
+            for plane in 0..PLANES {
+                let size = if plane == 1 || plane == 2 { 2 } else { 1 };
+                let values = coefficients::plane(tile, plane, Division::Even(size));
+                if values.is_empty() {
+                    continue;
+                }
+                let steps = PlaneSteps::new(&head, plane, 0);
+                let n = CELL << size;
+                for y in (0..cells[1] * CELL).filter(|y| (y / n).is_multiple_of(Self::SAMPLED)) {
+                    for x in 0..cells[0] * CELL {
+                        let step = steps.step(size.into(), x % n, y % n);
+                        let value = values[y * TILE + x].abs() * 4.0 / step as f32;
+                        // The exponent and the first two bits of the mantissa make about four times the binary logarithm.
+                        let bin = ((value.to_bits() >> 21) as usize + Self::BINS / 2)
+                            .saturating_sub(127 << 2)
+                            .min(Self::BINS - 1);
+                        bins[bin] += Self::SAMPLED as u32;
+                    }
                 }
             }
-        }
-        bins
-    });
-    let wanted = settings.max_bytes as f64 * 8.0 / LEVEL_BITS;
-    let mut count = 0.0;
-    let mut bin = BINS - 1;
-    while bin > 0 {
-        count += f64::from(bins.iter().map(|b| b[bin]).sum::<u32>());
-        if count > wanted {
-            break;
-        }
-        bin -= 1;
+            bins
+        });
+        Magnitudes { counts: (0..Self::BINS).map(|bin| bins.iter().map(|b| b[bin]).sum()).collect() }
     }
-    let value = ((bin as f32 + 1.0 - BINS as f32 / 2.0) / FINE).strict_exp2();
-    (f64::from(value / LIKELY) * f64::from(UNIT)).clamp(8.0, 60_000.0)
+
+    /// Returns about the step with which a layer takes `bytes` bytes.
+    pub(super) fn step_for(&self, bytes: f64) -> f64 {
+        let wanted = bytes * 8.0 / LEVEL_BITS;
+        let mut count = 0.0;
+        let mut bin = Self::BINS - 1;
+        while bin > 0 {
+            count += f64::from(self.counts[bin]);
+            if count > wanted {
+                break;
+            }
+            bin -= 1;
+        }
+        let value = ((bin as f32 + 1.0 - Self::BINS as f32 / 2.0) / Self::FINE).strict_exp2();
+        (f64::from(value / LIKELY) * f64::from(Self::UNIT)).clamp(8.0, 60_000.0)
+    }
+
+    /// Returns about the bytes of a layer with this step.
+    #[cfg(feature = "quality-hook")]
+    pub(super) fn bytes_at(&self, step: f64) -> f64 {
+        let value = step * f64::from(LIKELY) / f64::from(Self::UNIT);
+        let bin = f64::from(Self::FINE) * value.strict_log2() + Self::BINS as f64 / 2.0;
+        let above: f64 = self.counts.iter().skip(bin.ceil().max(0.0) as usize).map(|&n| f64::from(n)).sum();
+        // A part of the bin in which the value lies.
+        let within = self.counts.get(bin.max(0.0) as usize).map_or(0.0, |&n| f64::from(n) * (bin.ceil() - bin));
+        (above + within) * LEVEL_BITS / 8.0
+    }
 }
 
 #[cfg(test)]

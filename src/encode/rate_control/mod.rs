@@ -19,14 +19,15 @@ use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 #[cfg(feature = "quality-hook")]
-pub(super) use quality::AIM_ABOVE;
-use search::{Curve, ScoreGoal, Search};
+pub(super) use quality::{AIM_ABOVE, halvings};
+use search::{Curve, Known, ScoreGoal, Search};
 
 /// Maximum number of primitives that an encode fits.
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 
-/// Compression ratio of [`Target::Auto`].
-const AUTO_RATIO: f64 = 50.0;
+/// Compression ratio of [`Target::Auto`] where the default quality is not measured. It is that of a typical photograph
+/// with this quality.
+const AUTO_RATIO: f64 = 25.0;
 
 /// Estimated bits per primitive in the coded layout, before any primitive is coded.
 pub(super) const CODED_BITS: f64 = 34.5;
@@ -160,6 +161,8 @@ struct SearchPlan<C> {
     goal: ScoreGoal,
     /// Number of parts of the time budget: one for each try of a typical search, and one for the work after the search.
     timed_parts: u32,
+    /// What is known of the picture before the search.
+    known: Known,
 }
 
 /// Searches for the smallest file whose `score` is high enough. Returns it with its score, or the best file found if no
@@ -173,7 +176,7 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     let raw = session.samples();
     let share = session.clock().left().map(|time| time / plan.timed_parts);
     let required = plan.goal.required;
-    let mut search = Search::new(plan.curve, plan.goal);
+    let mut search = Search::new(plan.curve, plan.goal).with(plan.known);
     let mut best: Option<(f64, Outcome)> = None;
     while let Some(size) = search.next() {
         // All tries share the time budget. A try that starts late would be a worse fit, and its score would say little.

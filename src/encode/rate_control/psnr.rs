@@ -1,6 +1,6 @@
 //! Encodes to a requested PSNR: searches for the smallest file that reaches it.
 
-use super::search::{Curve, ScoreGoal, Try};
+use super::search::{Curve, Known, ScoreGoal, Try};
 use super::{SearchPlan, smallest};
 use crate::encode::session::{EncodeSession, Outcome, decibels};
 use crate::error::{Error, Result};
@@ -63,7 +63,7 @@ pub(super) fn to_psnr<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) ->
     let raw = session.samples();
     let goal =
         ScoreGoal { required: wanted, aimed: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
-    let plan = SearchPlan { curve: Decibels, goal, timed_parts: TIMED_PARTS };
+    let plan = SearchPlan { curve: Decibels, goal, timed_parts: TIMED_PARTS, known: Known::default() };
     let score = |session: &mut S, outcome: &Outcome| Ok(decibels(session.error(&outcome.splats)?, raw));
     let is_close = |_: &S, reached: f64, _: &Outcome| (0.0..TOLERANCE).contains(&(reached - wanted));
     let (reached, mut best) = smallest(session, plan, score, is_close)?;

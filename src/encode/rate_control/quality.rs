@@ -1,11 +1,12 @@
 //! Encodes to a requested SSIMULACRA2 score: searches for the size, and trims files that exceed the score.
 
-use super::search::{Curve, ScoreGoal, Try};
+use super::search::{Curve, Known, ScoreGoal, Try};
 use super::{SearchPlan, smallest};
 use crate::bitstream;
 use crate::encode::drawn::own_limits;
-use crate::encode::session::{EncodeSession, Outcome};
+use crate::encode::session::{AtQuality, EncodeSession, Outcome};
 use crate::error::Result;
+use crate::strict_math::StrictMath;
 
 /// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
 const MAX_TRIES: usize = 6;
@@ -17,7 +18,7 @@ const TOLERANCE: f64 = 0.5;
 /// cannot raise it.
 pub(in crate::encode) const AIM_ABOVE: f64 = 0.25;
 /// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
-const MAX_TRIMMED: f64 = 2.5;
+const MAX_TRIMMED: f64 = 4.0;
 /// Scores that are assumed for a picture until its own are known: halvings of the raw bytes, and points. The values
 /// were measured on Kodak; from a ratio of 20 on, they are means of twelve pictures. Pictures differ mostly by a shift
 /// along the first axis. `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures the curve.
@@ -35,7 +36,7 @@ const TYPICAL_CURVE: [[f64; 2]; 10] = [
 ];
 
 /// Returns the number of halvings at which the typical curve has this score.
-fn halvings(points: f64) -> f64 {
+pub(in crate::encode) fn halvings(points: f64) -> f64 {
     let next = TYPICAL_CURVE.iter().position(|c| c[1] <= points).unwrap_or(TYPICAL_CURVE.len() - 1).max(1);
     let [[from, high], [to, low]] = [TYPICAL_CURVE[next - 1], TYPICAL_CURVE[next]];
     from + (to - from) * (high - points) / (high - low)
@@ -62,9 +63,20 @@ impl Curve for Points {
 
 /// Encodes to a SSIMULACRA2 score of `wanted` points.
 pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
-    let sizes = super::sizes_tried(session.samples());
+    let samples = session.samples();
+    let known = match session.at_quality(wanted)? {
+        AtQuality::Done(outcome) => return as_written(session, *outcome),
+        _ if session.options().has_alternative => return nothing(session),
+        AtQuality::Expected { bytes, seen } => {
+            let size = |bytes: f64| (bytes / samples).strict_log2();
+            let tries = seen.iter().map(|&(bytes, score)| Try { size: size(bytes as f64), score }).collect();
+            Known { first: Some(size(bytes + session.fixed()? as f64)), tries }
+        }
+        AtQuality::Unknown => Known::default(),
+    };
+    let sizes = super::sizes_tried(samples);
     let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
-    let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS };
+    let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS, known };
     let score = |session: &mut S, outcome: &Outcome| session.score(&outcome.splats);
     let is_close = |session: &S, score: f64, outcome: &Outcome| {
         let above = if session.can_be_trimmed(outcome) { MAX_TRIMMED } else { TOLERANCE };
@@ -75,10 +87,21 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
     if found > wanted + AIM_ABOVE {
         session.trim_to_quality(&mut outcome, wanted)?;
     }
-    // A decoder renders the Gaussians in the order of the file, which changes the last bits.
+    as_written(session, outcome)
+}
+
+/// Measures the score of the file. A decoder renders the Gaussians in the order of the file, which changes the last bits.
+fn as_written<'a, S: EncodeSession<'a>>(session: &mut S, mut outcome: Outcome) -> Result<Outcome> {
     let written = bitstream::read(&outcome.bytes[..], &own_limits())?;
     outcome.quality = Some(session.score(&written)?);
     Ok(outcome)
+}
+
+/// Returns a file without primitives, which reaches no quality.
+fn nothing<'a, S: EncodeSession<'a>>(session: &S) -> Result<Outcome> {
+    let splats = session.blank().clone();
+    let bytes = session.file(&splats)?;
+    Ok(Outcome { bytes, splats, float_error: f64::INFINITY, quality: Some(f64::NEG_INFINITY), pruned_bytes: 0 })
 }
 
 #[cfg(test)]

@@ -48,16 +48,38 @@ const MAX_STEP: f64 = 4.5;
 /// Minimum distance of a try from the ends of the bracket, as a fraction of its width, because scores scatter.
 const INSIDE: f64 = 0.1;
 
+/// What is known of a picture before a search.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Known {
+    /// The size to try first, unless tries are known.
+    pub first: Option<f64>,
+    /// Files that were tried otherwise. They do not count as tries of the search.
+    pub tries: Vec<Try>,
+}
+
 /// A search in progress.
 pub(super) struct Search<C> {
     curve: C,
     goal: ScoreGoal,
     tries: Vec<Try>,
+    first: Option<f64>,
+    /// Number of tries that were known before.
+    known: usize,
 }
 
 impl<C: Curve> Search<C> {
     pub(super) fn new(curve: C, goal: ScoreGoal) -> Self {
-        Search { curve, goal, tries: Vec::new() }
+        Search { curve, goal, tries: Vec::new(), first: None, known: 0 }
+    }
+
+    /// Starts with what is known of the picture.
+    pub(super) fn with(self, known: Known) -> Self {
+        Search { known: known.tries.len(), tries: known.tries, first: known.first, ..self }
+    }
+
+    /// Returns the number of tries of the search itself.
+    fn count(&self) -> usize {
+        self.tries.len() - self.known
     }
 
     /// Records the score of a file of this size.
@@ -70,19 +92,19 @@ impl<C: Curve> Search<C> {
         let [smallest, largest] = self.goal.sizes;
         let inside = |size: f64| Some(size.clamp(smallest, largest));
         match self.bracket() {
-            (None, None) => inside(self.curve.size(self.goal.aimed)),
+            (None, None) => inside(self.first.unwrap_or_else(|| self.curve.size(self.goal.aimed))),
             // The largest file is not good enough.
-            (Some(low), None) if low.size >= largest => None,
-            (Some(_), None) if self.tries.len() >= SMALLER => Some(largest),
+            (Some(low), None) if low.size >= largest && self.count() > 0 => None,
+            (Some(_), None) if self.count() >= SMALLER => Some(largest),
             (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.goal.aimed) - low.size)),
             // One file is good enough, and no tries remain.
-            (_, Some(_)) if self.tries.len() >= self.goal.tries => None,
-            (None, Some(high)) if high.size <= smallest => None,
+            (_, Some(_)) if self.count() >= self.goal.tries => None,
+            (None, Some(high)) if high.size <= smallest && self.count() > 0 => None,
             (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.goal.aimed))),
             (Some(low), Some(high)) => {
                 let width = high.size - low.size;
                 let at = self.curve.between(low, high, self.goal.aimed).max(low.size + INSIDE * width);
-                (width >= NARROW).then(|| at.min(high.size - INSIDE * width))
+                (width >= NARROW || self.count() == 0).then(|| at.min(high.size - INSIDE * width))
             }
         }
     }
