@@ -256,6 +256,11 @@ impl Mask {
         (others * CELL * CELL * survey.channels.count()) as f64 * MIN_SAMPLE_BYTES
     }
 
+    /// Returns the share of the cells that are covered.
+    pub(super) fn share(&self) -> f64 {
+        self.cells.iter().filter(|&&is_covered| is_covered).count() as f64 / self.cells.len() as f64
+    }
+
     /// Returns whether a pixel is covered.
     pub(super) fn covers(&self, [x, y]: [usize; 2]) -> bool {
         self.cells[y / CELL * self.width.div_ceil(CELL) + x / CELL]

@@ -1,7 +1,7 @@
 //! Encodes what an exact layer does not cover, with Gaussians and a detail layer.
 
 use super::mask::Mask;
-use super::{Candidate, read};
+use super::{Candidate, Goal, Judge, read};
 use crate::bitstream::splats::PackedSplats;
 use crate::bitstream::to_bytes;
 use crate::encode::channels::widen;
@@ -12,12 +12,18 @@ use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::options::{Detail, EncodeOptions, HiddenColors, Thumbnail};
 use crate::pixels::{Pixels, Samples};
+use crate::strict_math::StrictMath;
 use crate::target::Target;
 
 /// Share of the bytes for the Gaussians of photographs.
 pub(super) const BASE_SHARE: f64 = 0.35;
 /// Minimum number of bytes of photographs with a detail layer.
 const MIN_LAYER_BYTES: u64 = 1500;
+
+/// Highest quality that is asked of the photographs of a picture that should have a lower one. With higher ones, small
+/// photographs would take more bytes than the rest.
+#[cfg(feature = "quality-hook")]
+const MAX_QUALITY: f64 = 94.0;
 
 /// Returns a file of at most `bytes` bytes: `exact`, and Gaussians and a detail layer where it does not cover the picture.
 /// Returns `None` if they do not fit.
@@ -31,16 +37,43 @@ pub(super) fn file(
 ) -> Result<Option<Candidate>> {
     let layer = to_bytes(&exact)?.len() - to_bytes(&PackedSplats { exact: None, ..exact.clone() })?.len();
     let Some(room) = bytes.checked_sub(layer as u64) else { return Ok(None) };
+    let detail = if room >= MIN_LAYER_BYTES { Detail::Share(BASE_SHARE) } else { Detail::Off };
+    let options = EncodeOptions { target: Target::Bytes(room), detail, ..options.clone() };
+    let Some(splats) = photographs(mask, pixels, &options, report)? else { return Ok(None) };
+    let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;
+    Ok((file.bytes.len() as u64 <= bytes).then_some(file))
+}
+
+/// Returns Gaussians and a detail layer of the photographs that reach the goal of `judge`, other than a size, as far as
+/// their share of the picture is concerned. Returns `None` if there are none.
+pub(super) fn reaching(
+    mask: &Mask,
+    judge: &Judge<'_>,
+    options: &EncodeOptions,
+    report: &mut ReportBuilder<'_>,
+) -> Result<Option<PackedSplats>> {
+    let share = 1.0 - mask.share();
+    let target = match *judge.goal {
+        Goal::Bytes(_) => return Ok(None),
+        // The squared errors of all pixels are added.
+        Goal::Psnr(psnr) => Target::Psnr(psnr - 10.0 * share.strict_log10()),
+        #[cfg(feature = "quality-hook")]
+        Goal::Quality(wanted) => Target::Quality((100.0 - share * (100.0 - wanted)).min(wanted.max(MAX_QUALITY))),
+    };
+    let options = EncodeOptions { target, detail: Detail::Share(BASE_SHARE), has_alternative: true, ..options.clone() };
+    photographs(mask, judge.pixels, &options, report)
+}
+
+/// Encodes the part of a picture that the exact layer does not cover. Returns `None` if the target is too small.
+fn photographs(
+    mask: &Mask,
+    pixels: &Pixels,
+    options: &EncodeOptions,
+    report: &mut ReportBuilder<'_>,
+) -> Result<Option<PackedSplats>> {
     let filled = continued(pixels, mask, report)?;
     let since = report.seconds();
-    let options = EncodeOptions {
-        target: Target::Bytes(room),
-        detail: if room >= MIN_LAYER_BYTES { Detail::Share(BASE_SHARE) } else { Detail::Off },
-        thumbnail: Thumbnail::Never,
-        icc: None,
-        exif: None,
-        ..options.clone()
-    };
+    let options = EncodeOptions { thumbnail: Thumbnail::Never, icc: None, exif: None, ..options.clone() };
     let encoded = match whole::encode(&filled, &options, 1.0, &mut |now| (report.progress)(now)) {
         Ok(encoded) => encoded,
         Err(Error::TooSmall { .. }) => return Ok(None),
@@ -48,9 +81,7 @@ pub(super) fn file(
     };
     report.stage("photographs", since);
     let splats = read(&encoded.bytes)?;
-    let splats = if splats.channels == exact.channels { splats } else { widen(&splats, exact.channels) };
-    let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;
-    Ok((file.bytes.len() as u64 <= bytes).then_some(file))
+    Ok(Some(if splats.channels == pixels.channels() { splats } else { widen(&splats, pixels.channels()) }))
 }
 
 /// Returns the picture with covered pixels replaced by a smooth continuation of the others.

@@ -1,5 +1,7 @@
 //! Searches for the smallest tolerance of colours with which the picture fits, or the largest one that reaches a quality.
 
+use std::sync::Arc;
+
 use super::mask::Mask;
 use super::mixed::BASE_SHARE;
 use super::survey::{SIDES, Survey};
@@ -8,6 +10,7 @@ use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::near::approximate;
 use crate::bitstream::exact::tile::Shape;
 use crate::bitstream::exact::{ExactTile, tile_area};
+use crate::bitstream::splats::PackedSplats;
 use crate::encode::report::ReportBuilder;
 use crate::encode::thumbnail;
 use crate::error::Result;
@@ -52,8 +55,16 @@ pub(super) fn near(
             let bytes = bytes.saturating_sub(thumbnail::reserved(options, survey.size, bytes));
             fitting(survey, layer, mask, bytes, report)?.map(|found| (found, bytes))
         }
-        _ if mask.is_some() => None,
-        _ => return reaching(survey, judge, options, report),
+        _ => {
+            let photographs = match mask {
+                Some(mask) => match mixed::reaching(mask, judge, options, report)? {
+                    Some(photographs) => Some(photographs),
+                    None => return Ok(None),
+                },
+                None => None,
+            };
+            return reaching(survey, layer, photographs.as_ref(), judge, options, report);
+        }
     };
     report.stage("exact layer", since);
     let Some(((layer, tolerance), bytes)) = found else { return Ok(None) };
@@ -103,9 +114,12 @@ fn fitting(
     }
 }
 
-/// Returns the file with the largest tolerance that reaches a quality, if one does.
+/// Returns the file with the largest tolerance that reaches a quality, if one does. `photographs` is what the layer does
+/// not cover.
 fn reaching(
     survey: &Survey,
+    layer: &ExactLayer,
+    photographs: Option<&PackedSplats>,
     judge: &Judge<'_>,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
@@ -114,7 +128,11 @@ fn reaching(
     let mut next = FIRST_TOLERANCE;
     while reaches + 1 < misses {
         report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
-        let splats = survey.file(approximated(survey, &survey.layer, next).layer, options);
+        let layer = approximated(survey, layer, next).layer;
+        let splats = match photographs {
+            Some(photographs) => PackedSplats { exact: Some(Arc::new(layer)), ..photographs.clone() },
+            None => survey.file(layer, options),
+        };
         if judge.is_met(&splats)? {
             (reaches, best) = (next, Some((splats, next)));
         } else {
