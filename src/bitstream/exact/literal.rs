@@ -25,8 +25,14 @@ const FIRST_WEIGHT: i32 = 28_000;
 /// Bound of the weights, which keeps sums in 32 bits.
 const MAX_WEIGHT: i32 = (1 << 19) - 1;
 
-/// The counters of four bits of a sample in one context. Entry 0 is a check value of the context.
-type Line = [Counter; 16];
+/// Largest number of bits of a sample.
+const MAX_BITS: usize = 16;
+
+/// The counters of four bits of a sample in one context. Entry 0 is a check value of the context, or 0 if the line has
+/// not been used. Tables of integers are not written before they are used.
+type Line = [u16; 16];
+/// The counters of a prediction, by the position of the bit and the distance.
+type Distances = [[Counter; DISTANCES]; MAX_BITS];
 /// Bytes of a line.
 pub(super) const LINE_BYTES: u64 = size_of::<Line>() as u64;
 
@@ -35,14 +41,14 @@ pub(super) struct Literals {
     tables: &'static Logistic,
     order: &'static [usize],
     bits: usize,
-    /// Counters by prediction, position in the order, bit, activity and distance.
-    distances: Vec<Counter>,
+    /// Counters by prediction; position in the order and activity.
+    distances: [Vec<Distances>; PREDICTIONS],
     /// Lines by hash.
     lines: Vec<Line>,
     /// Number of bits of the hash that the lines are addressed by.
     address: u32,
     /// Weights by position in the order, bit, and how much the counter of exact values has seen.
-    weights: Vec<[i32; INPUTS]>,
+    weights: Vec<[[[i32; INPUTS]; SEEN]; MAX_BITS]>,
 }
 
 /// Returns the channels in the order in which they are coded: alpha, then green, red, blue.
@@ -60,20 +66,21 @@ fn median(w: i32, n: i32, nw: i32) -> i32 {
     (w + n - nw).clamp(w.min(n), w.max(n))
 }
 
-/// Returns the class of a distance: exact up to 3, then two classes an octave.
+/// Returns the place of a distance: classes that are exact up to 3 and then two an octave, on both sides of the middle.
 #[inline(always)]
-fn distance_class(distance: u32) -> usize {
-    if distance < 2 {
-        return distance as usize;
-    }
-    let octave = distance.ilog2();
-    (2 * octave + (distance >> (octave - 1) & 1)) as usize
+fn place(distance: i32) -> usize {
+    let side = distance >> 31;
+    // −1 is the class next to 0 on the other side.
+    let magnitude = (distance ^ side) as u32;
+    let octave = (magnitude | 1).ilog2();
+    let class = 2 * octave + (2 * magnitude >> octave & 1) + u32::from(magnitude == 1);
+    (DISTANCES as i32 / 2 + (class as i32 ^ side)) as usize % DISTANCES
 }
 
-/// State of the sample that is coded: the prefix of the bits already known, and the rows of counters.
+/// The predictions of a sample.
 struct Predictions {
     values: [i32; PREDICTIONS],
-    /// First counter of each prediction at bit 0 and distance 0.
+    /// Which counters each prediction selects.
     rows: [usize; PREDICTIONS],
 }
 
@@ -81,7 +88,7 @@ impl Literals {
     /// Returns new models, with `2^address` lines.
     pub(super) fn new(channels: Channels, bits: usize, address: u32) -> Self {
         let order = order(channels);
-        let row = |i: usize| {
+        let start: [Counter; DISTANCES] = std::array::from_fn(|i| {
             let distance = i as u16;
             // A bit is more likely 1 if the prediction is above the middle of the values.
             let p = if i >= DISTANCES / 2 {
@@ -90,23 +97,21 @@ impl Literals {
                 2047 - 110 * (31 - distance).min(15)
             };
             Counter(p << 4 | 1)
-        };
-        let count = PREDICTIONS * order.len() * bits * ACTIVITIES;
-        let distances = (0..count).flat_map(|_| (0..DISTANCES).map(row)).collect();
+        });
         Literals {
             tables: Logistic::tables(),
             order,
             bits,
-            distances,
-            lines: vec![[Counter::NEW; 16]; 1 << address],
+            distances: std::array::from_fn(|_| vec![[start; MAX_BITS]; order.len() * ACTIVITIES]),
+            lines: vec![[0; 16]; 1 << address],
             address,
-            weights: vec![[FIRST_WEIGHT; INPUTS]; order.len() * bits * SEEN],
+            weights: vec![[[[FIRST_WEIGHT; INPUTS]; SEEN]; MAX_BITS]; order.len()],
         }
     }
 
     /// Codes a colour.
     #[inline(never)]
-    pub(super) fn code<C: Coder>(&mut self, coder: &mut C, near: &Neighbours, given: u64) -> u64 {
+    pub(super) fn code<C: Coder>(&mut self, coder: &mut C, near: &Neighbours<u64>, given: u64) -> u64 {
         let (mut color, mut residual) = (0u64, 0u32);
         for step in 0..self.order.len() {
             let channel = self.order[step];
@@ -120,7 +125,7 @@ impl Literals {
 
     /// Returns the predictions of the channel at position `step`, from the neighbours, the channels already coded and
     /// the residual of the last of these.
-    fn predict(&self, step: usize, near: &Neighbours, color: u64, residual: u32) -> Predictions {
+    fn predict(&self, step: usize, near: &Neighbours<u64>, color: u64, residual: u32) -> Predictions {
         let channel = self.order[step];
         let is_chroma = self.order.len() >= 3 && channel.is_multiple_of(2);
         // Red and blue are predicted by their differences to green.
@@ -144,60 +149,51 @@ impl Literals {
         } else {
             [class(edges + far), class(far), class(edges)]
         };
-        let rows = std::array::from_fn(|i| {
-            let activity = activities[i].min(ACTIVITIES - 1);
-            ((i * self.order.len() + step) * self.bits * ACTIVITIES + activity) * DISTANCES + DISTANCES / 2
-        });
+        let rows = activities.map(|activity| step * ACTIVITIES + activity.min(ACTIVITIES - 1));
         Predictions { values, rows }
     }
 
     /// Codes a sample.
+    #[inline(always)]
     fn sample<C: Coder>(&mut self, coder: &mut C, step: usize, color: u64, at: &Predictions, given: i32) -> i32 {
         let known = hash(color);
-        let (mut value, mut bit, mut line, mut node) = (0i32, self.bits, 0, 1);
+        let [first, second, third] = &mut self.distances;
+        let rows = [&mut first[at.rows[0]], &mut second[at.rows[1]], &mut third[at.rows[2]]];
+        let weights = &mut self.weights[step];
+        let (mut value, mut bit) = (0i32, self.bits);
         while bit > 0 {
-            if bit % 4 == 0 {
-                let context = hash(known ^ (64 * step + bit) as u64 * (1 << 32) ^ value as u64);
-                line = (context >> (64 - self.address)) as usize;
-                let check = Counter(context as u16 | 1);
-                if self.lines[line][0] != check {
-                    self.lines[line] = [Counter::NEW; 16];
-                    self.lines[line][0] = check;
+            let context = hash(known ^ (64 * step + bit) as u64 * (1 << 32) ^ value as u64);
+            let line = &mut self.lines[(context >> (64 - self.address)) as usize];
+            let check = context as u16 | 1;
+            if line[0] != check {
+                *line = [Counter::NEW.0; 16];
+                line[0] = check;
+            }
+            let mut node = 1;
+            for _ in 0..4 {
+                bit -= 1;
+                let middle = value + (1 << bit);
+                let exact = Counter(line[node]);
+                let places = at.values.map(|value| place(value - middle));
+                let [a, b, c] = std::array::from_fn(|i| rows[i][bit % MAX_BITS][places[i]]);
+                let counters = [exact, a, b, c];
+                let logits = counters.map(|counter| self.tables.logit(counter));
+                let weights = &mut weights[bit % MAX_BITS][usize::from(exact.seen()).min(SEEN - 1)];
+                let sum: i32 = (0..INPUTS).map(|i| logits[i] * (weights[i] >> 4)).sum();
+                let one = self.tables.probability(sum >> 12);
+                let is_one = Coder::bit(coder, one, given as u32 >> bit & 1) != 0;
+                let error = if is_one { 65_536 - one as i32 } else { -(one as i32) };
+                for i in 0..INPUTS {
+                    let moved = weights[i] + ((logits[i] * error + (1 << 13)) >> 14);
+                    weights[i] = moved.clamp(-MAX_WEIGHT, MAX_WEIGHT);
                 }
-                node = 1;
+                line[node] = exact.after(is_one).0;
+                for i in 0..PREDICTIONS {
+                    rows[i][bit % MAX_BITS][places[i]] = counters[1 + i].after(is_one);
+                }
+                node = (2 * node + usize::from(is_one)) % 16;
+                value += i32::from(is_one) << bit;
             }
-            bit -= 1;
-            let middle = value + (1 << bit);
-            let exact = self.lines[line][node & 15];
-            let mut counters = [exact; INPUTS];
-            let mut places = [0; PREDICTIONS];
-            for i in 0..PREDICTIONS {
-                let distance = at.values[i] - middle;
-                let row = at.rows[i] + bit * ACTIVITIES * DISTANCES;
-                // −1 is the class next to 0 on the other side.
-                places[i] = if distance < 0 {
-                    row - 1 - distance_class(!distance as u32)
-                } else {
-                    row + distance_class(distance as u32)
-                };
-                counters[1 + i] = self.distances[places[i]];
-            }
-            let logits = counters.map(|counter| self.tables.logit(counter));
-            let seen = usize::from(exact.seen()).min(SEEN - 1);
-            let weights = &mut self.weights[(step * self.bits + bit) * SEEN + seen];
-            let sum: i32 = (0..INPUTS).map(|i| logits[i] * (weights[i] >> 4)).sum();
-            let one = self.tables.probability(sum >> 12);
-            let is_one = Coder::bit(coder, one, given as u32 >> bit & 1) != 0;
-            let error = if is_one { 65_536 - one as i32 } else { -(one as i32) };
-            for (weight, logit) in weights.iter_mut().zip(logits) {
-                *weight = (*weight + ((logit * error + (1 << 13)) >> 14)).clamp(-MAX_WEIGHT, MAX_WEIGHT);
-            }
-            self.lines[line][node & 15] = exact.after(is_one);
-            for (place, counter) in places.into_iter().zip(&counters[1..]) {
-                self.distances[place] = counter.after(is_one);
-            }
-            node = 2 * node + usize::from(is_one);
-            value += i32::from(is_one) << bit;
         }
         value
     }
