@@ -8,7 +8,9 @@
 use super::arithmetic::{Counter, Logistic, hash};
 use super::tile::{Neighbours, sample};
 use crate::bitstream::coder::range::Coder;
+use crate::bitstream::detail::decisions::Decisions;
 use crate::gaussian::Channels;
+use crate::simd::{Simd, Task};
 
 /// Number of predictions of a sample.
 const PREDICTIONS: usize = 3;
@@ -68,13 +70,53 @@ fn median(w: i32, n: i32, nw: i32) -> i32 {
 
 /// Returns the place of a distance: classes that are exact up to 3 and then two an octave, on both sides of the middle.
 #[inline(always)]
-fn place(distance: i32) -> usize {
+const fn place(distance: i32) -> usize {
     let side = distance >> 31;
     // −1 is the class next to 0 on the other side.
     let magnitude = (distance ^ side) as u32;
     let octave = (magnitude | 1).ilog2();
-    let class = 2 * octave + (2 * magnitude >> octave & 1) + u32::from(magnitude == 1);
+    let class = 2 * octave + (2 * magnitude >> octave & 1) + (magnitude == 1) as u32;
     (DISTANCES as i32 / 2 + (class as i32 ^ side)) as usize % DISTANCES
+}
+
+/// Number of distances of samples with 8 bits, which have a table.
+const SHORT: usize = 512;
+
+/// Places of the distances from −256 on.
+static PLACES: [u8; SHORT] = {
+    let (mut places, mut i) = ([0; SHORT], 0);
+    while i < SHORT {
+        places[i] = place(i as i32 - SHORT as i32 / 2) as u8;
+        i += 1;
+    }
+    places
+};
+
+/// Coding of a colour with certain instructions.
+pub(super) struct Literal<'a, C> {
+    pub literals: &'a mut Literals,
+    pub coder: &'a mut C,
+    pub near: Neighbours<u64>,
+    pub given: u64,
+}
+
+impl<C: Coder + Decisions> Task for Literal<'_, C> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _simd: S) -> u64 {
+        let Literal { literals, coder, near, given } = self;
+        coder.apart(
+            #[inline(always)]
+            |coder| {
+                if literals.bits == 8 {
+                    literals.code::<C, 8>(coder, &near, given)
+                } else {
+                    literals.code::<C, 16>(coder, &near, given)
+                }
+            },
+        )
+    }
 }
 
 /// The predictions of a sample.
@@ -110,13 +152,13 @@ impl Literals {
     }
 
     /// Codes a colour.
-    #[inline(never)]
-    pub(super) fn code<C: Coder>(&mut self, coder: &mut C, near: &Neighbours<u64>, given: u64) -> u64 {
+    #[inline(always)]
+    fn code<C: Coder, const BITS: usize>(&mut self, coder: &mut C, near: &Neighbours<u64>, given: u64) -> u64 {
         let (mut color, mut residual) = (0u64, 0u32);
         for step in 0..self.order.len() {
             let channel = self.order[step];
             let predictions = self.predict(step, near, color, residual);
-            let value = self.sample(coder, step, color, &predictions, sample(given, channel));
+            let value = self.sample::<C, BITS>(coder, step, color, &predictions, sample(given, channel));
             color |= (value as u64) << (16 * channel);
             residual = value.abs_diff(predictions.values[0]);
         }
@@ -125,6 +167,7 @@ impl Literals {
 
     /// Returns the predictions of the channel at position `step`, from the neighbours, the channels already coded and
     /// the residual of the last of these.
+    #[inline(always)]
     fn predict(&self, step: usize, near: &Neighbours<u64>, color: u64, residual: u32) -> Predictions {
         let channel = self.order[step];
         let is_chroma = self.order.len() >= 3 && channel.is_multiple_of(2);
@@ -155,12 +198,19 @@ impl Literals {
 
     /// Codes a sample.
     #[inline(always)]
-    fn sample<C: Coder>(&mut self, coder: &mut C, step: usize, color: u64, at: &Predictions, given: i32) -> i32 {
+    fn sample<C: Coder, const BITS: usize>(
+        &mut self,
+        coder: &mut C,
+        step: usize,
+        color: u64,
+        at: &Predictions,
+        given: i32,
+    ) -> i32 {
         let known = hash(color);
         let [first, second, third] = &mut self.distances;
         let rows = [&mut first[at.rows[0]], &mut second[at.rows[1]], &mut third[at.rows[2]]];
         let weights = &mut self.weights[step];
-        let (mut value, mut bit) = (0i32, self.bits);
+        let (mut value, mut bit) = (0i32, BITS);
         while bit > 0 {
             let context = hash(known ^ (64 * step + bit) as u64 * (1 << 32) ^ value as u64);
             let line = &mut self.lines[(context >> (64 - self.address)) as usize];
@@ -174,8 +224,11 @@ impl Literals {
                 bit -= 1;
                 let middle = value + (1 << bit);
                 let exact = Counter(line[node]);
-                let places = at.values.map(|value| place(value - middle));
-                let [a, b, c] = std::array::from_fn(|i| rows[i][bit % MAX_BITS][places[i]]);
+                let places = at.values.map(|value| {
+                    let distance = value - middle;
+                    if BITS > 8 { place(distance) } else { PLACES[(distance + 256) as usize % SHORT].into() }
+                });
+                let [a, b, c] = std::array::from_fn(|i| rows[i][bit % MAX_BITS][places[i] % DISTANCES]);
                 let counters = [exact, a, b, c];
                 let logits = counters.map(|counter| self.tables.logit(counter));
                 let weights = &mut weights[bit % MAX_BITS][usize::from(exact.seen()).min(SEEN - 1)];
@@ -189,7 +242,7 @@ impl Literals {
                 }
                 line[node] = exact.after(is_one).0;
                 for i in 0..PREDICTIONS {
-                    rows[i][bit % MAX_BITS][places[i]] = counters[1 + i].after(is_one);
+                    rows[i][bit % MAX_BITS][places[i] % DISTANCES] = counters[1 + i].after(is_one);
                 }
                 node = (2 * node + usize::from(is_one)) % 16;
                 value += i32::from(is_one) << bit;

@@ -2,7 +2,7 @@
 
 use super::arithmetic::key;
 use super::colors::{Around, Colors, REACH, ROWS, entry_bytes};
-use super::literal::{LINE_BYTES, Literals};
+use super::literal::{LINE_BYTES, Literal, Literals};
 use super::packed::Packed;
 use super::{CELL, ExactTile, mask};
 use crate::bitstream::broken::Broken;
@@ -13,6 +13,7 @@ use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parameter::Limit;
 use crate::pixels::{Depth, Samples};
+use crate::simd::{Simd, Task, dispatch};
 
 /// Pixels that are added on both sides of a row, so that contexts need no bounds.
 const MARGIN: usize = REACH;
@@ -248,8 +249,10 @@ impl<P: Packed> State<P> {
     }
 
     /// Codes the covered pixels from column `x` to column `end` of row `y`.
-    fn span<D: Decisions + Coder>(
+    #[inline(always)]
+    fn span<D: Decisions + Coder, S: Simd>(
         &mut self,
+        simd: S,
         decisions: &mut D,
         [x, y]: [usize; 2],
         end: usize,
@@ -287,8 +290,8 @@ impl<P: Packed> State<P> {
                 Ok(color) => color,
                 Err(excluded) => {
                     self.work += self.literal_work;
-                    let (near, given) = (near.wide(), given.wide());
-                    let wide = decisions.apart(|coder| self.literals.code(coder, &near, given));
+                    let (near, given, literals) = (near.wide(), given.wide(), &mut self.literals);
+                    let wide = simd.call(Literal { literals, coder: decisions, near, given });
                     let color = P::of(wide);
                     // Otherwise, a picture would have several streams.
                     if excluded.contains(color) {
@@ -315,6 +318,19 @@ impl<P: Packed> State<P> {
         source: &mut impl Source<P, D>,
         most_work: u64,
     ) -> Result<()> {
+        dispatch(Coding { state: self, decisions, height, cells, source, most_work })
+    }
+
+    #[inline(always)]
+    fn code_with<D: Decisions + Coder, S: Simd>(
+        &mut self,
+        simd: S,
+        decisions: &mut D,
+        height: usize,
+        cells: Option<&[bool]>,
+        source: &mut impl Source<P, D>,
+        most_work: u64,
+    ) -> Result<()> {
         for y in 0..height {
             self.work += RUN_WORK * self.width as u64;
             Limits::check(Limit::Work, self.work, most_work)?;
@@ -322,7 +338,7 @@ impl<P: Packed> State<P> {
             let first = self.rows[1].colors[MARGIN];
             self.rows[0].fill(0, MARGIN, first);
             match cells {
-                None => self.span(decisions, [0, y], self.width, source)?,
+                None => self.span(simd, decisions, [0, y], self.width, source)?,
                 Some(cells) => {
                     let across = self.width.div_ceil(CELL);
                     let cells = &cells[y / CELL * across..][..across];
@@ -332,7 +348,7 @@ impl<P: Packed> State<P> {
                         let count = cells[x / CELL..].iter().take_while(|&&cell| cell == is_covered).count();
                         let end = (x / CELL * CELL + count * CELL).min(self.width);
                         if is_covered {
-                            self.span(decisions, [x, y], end, source)?;
+                            self.span(simd, decisions, [x, y], end, source)?;
                         } else {
                             // Pixels that are not covered continue the colour to their left.
                             let color = self.rows[0].colors[MARGIN + x - 1];
@@ -349,6 +365,26 @@ impl<P: Packed> State<P> {
             source.row(y, &row.colors[MARGIN..][..self.width]);
         }
         Ok(())
+    }
+}
+
+/// Coding of all pixels with certain instructions.
+struct Coding<'a, P, D, F> {
+    state: &'a mut State<P>,
+    decisions: &'a mut D,
+    height: usize,
+    cells: Option<&'a [bool]>,
+    source: &'a mut F,
+    most_work: u64,
+}
+
+impl<P: Packed, D: Decisions + Coder, F: Source<P, D>> Task for Coding<'_, P, D, F> {
+    type Output = Result<()>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Result<()> {
+        let Coding { state, decisions, height, cells, source, most_work } = self;
+        state.code_with(simd, decisions, height, cells, source, most_work)
     }
 }
 
