@@ -63,18 +63,19 @@ pub(super) const ROWS_ABOVE: usize = 4;
 /// Rows that contexts refer to: that of the pixel, and those above.
 pub(super) const ROWS: usize = ROWS_ABOVE + 1;
 
-/// The colour that last followed a context, and a check value of the context above 16 bits of confidence; 0 if there is
-/// none. Tables of integers are not written before they are used.
+/// The colour that last followed a context, and the confidence. Tables of integers are not written before they are used.
 type Entry<P> = [P; 2];
 
 /// Returns the bytes of the entries that share an address, with colours of this size.
 pub(super) const fn entry_bytes(color: usize) -> u64 {
-    (ORDERS * 2 * color) as u64
+    (ORDERS * (2 * color + size_of::<u16>())) as u64
 }
 
 /// Models of predicted colours.
 pub(super) struct Colors<P> {
-    /// Entries by context and hash.
+    /// Check values of the contexts of entries, by context and hash; 0 where there is no entry. They are apart from the
+    /// entries, so that they stay in the cache where most contexts are new.
+    checks: [Vec<u16>; ORDERS],
     entries: [Vec<Entry<P>>; ORDERS],
     /// Number of bits of the hash that entries are addressed by.
     address: u32,
@@ -85,19 +86,11 @@ pub(super) struct Colors<P> {
     equals: Vec<Adaptive>,
 }
 
-/// The contexts of a pixel: places, check values, and what the entries contain.
+/// The contexts of a pixel: places, check values, and the entries of those that have one.
 pub(super) struct Contexts<P> {
     places: [usize; ORDERS],
-    checks: [u32; ORDERS],
-    entries: [Entry<P>; ORDERS],
-}
-
-impl<P: Packed> Contexts<P> {
-    /// Returns whether there is an entry of a context.
-    #[inline(always)]
-    fn matches(&self, order: usize) -> bool {
-        self.entries[order][1].number() >> 16 == self.checks[order]
-    }
+    checks: [u16; ORDERS],
+    entries: [Option<Entry<P>>; ORDERS],
 }
 
 /// What the colour of a pixel is predicted from.
@@ -136,6 +129,7 @@ impl<P: Packed> Colors<P> {
         let by_confidence: [Adaptive; CONFIDENCES] = std::array::from_fn(start);
         let follows = (0..ORDERS * 4 * 4).flat_map(|_| by_confidence).flat_map(|model| [model; 3]).collect();
         Colors {
+            checks: std::array::from_fn(|_| vec![0; 1 << address]),
             entries: std::array::from_fn(|_| vec![[P::ZERO; 2]; 1 << address]),
             address,
             follows,
@@ -148,7 +142,7 @@ impl<P: Packed> Colors<P> {
     pub(super) fn contexts(&self, rows: &[Row<P>; ROWS], x: usize) -> Contexts<P> {
         let around: [&[u32; 2 * REACH + 1]; ROWS] =
             std::array::from_fn(|y| rows[y].keys[x..].first_chunk().expect("a margin on both sides"));
-        let mut contexts = Contexts { places: [0; ORDERS], checks: [0; ORDERS], entries: [[P::ZERO; 2]; ORDERS] };
+        let mut contexts = Contexts { places: [0; ORDERS], checks: [0; ORDERS], entries: [None; ORDERS] };
         let mut sum = 0u32;
         // Written out, so that positions and factors are constants.
         macro_rules! context {
@@ -162,8 +156,11 @@ impl<P: Packed> Colors<P> {
                 let hash = mixed ^ mixed >> 13;
                 let place = (hash >> (32 - self.address)) as usize;
                 contexts.places[$order] = place;
-                contexts.checks[$order] = hash & 0xffff | 1;
-                contexts.entries[$order] = self.entries[$order][place];
+                let check = hash as u16 | 1;
+                contexts.checks[$order] = check;
+                if self.checks[$order][place] == check {
+                    contexts.entries[$order] = Some(self.entries[$order][place]);
+                }
             };
         }
         context!(4: 0 1 2);
@@ -188,22 +185,17 @@ impl<P: Packed> Colors<P> {
         excluded.into_iter().for_each(|color| tried.add(color));
         let mut misses = 0;
         for order in 0..ORDERS {
-            if !contexts.matches(order) {
-                continue;
-            }
-            let [color, meta] = contexts.entries[order];
+            let Some([color, confidence]) = contexts.entries[order] else { continue };
             if tried.contains(color) {
                 continue;
             }
-            let shorter = if order + 1 == ORDERS || !contexts.matches(order + 1) {
-                0
-            } else if contexts.entries[order + 1][0] == color {
-                1
-            } else {
-                2
+            let shorter = match contexts.entries.get(order + 1).copied().flatten() {
+                None => 0,
+                Some([other, _]) if other == color => 1,
+                Some(_) => 2,
             };
             let equal = usize::from(color == near.w) + 2 * usize::from(color == near.n);
-            let confidence = (meta.number() & MAX_CONFIDENCE) as usize;
+            let confidence = confidence.number() as usize;
             let model = (((order * 4 + misses.min(3)) * 4 + equal) * 64 + confidence) * 3 + shorter;
             if decisions.bit(&mut self.follows[model], color == given) {
                 return Ok(color);
@@ -228,17 +220,21 @@ impl<P: Packed> Colors<P> {
     #[inline(always)]
     pub(super) fn learn(&mut self, contexts: &Contexts<P>, color: P) {
         for order in 0..ORDERS {
-            let [old, meta] = contexts.entries[order];
-            let confidence = if contexts.matches(order) { meta.number() & MAX_CONFIDENCE } else { 0 };
-            // A confident entry keeps its colour.
-            let kept = if confidence < 4 { color } else { old };
-            let confidence = match (contexts.matches(order) && old == color, confidence < 4) {
-                (true, _) => (confidence + 1).min(MAX_CONFIDENCE),
-                (false, true) => 0,
-                (false, false) => confidence / 2,
+            let place = contexts.places[order];
+            let entry = &mut self.entries[order][place];
+            let Some([old, confidence]) = contexts.entries[order] else {
+                self.checks[order][place] = contexts.checks[order];
+                *entry = [color, P::ZERO];
+                continue;
             };
-            self.entries[order][contexts.places[order]] =
-                [kept, P::of_number(contexts.checks[order] << 16 | confidence)];
+            let confidence = confidence.number();
+            *entry = if old == color {
+                [old, P::of_number((confidence + 1).min(MAX_CONFIDENCE))]
+            } else if confidence < 4 {
+                [color, P::ZERO]
+            } else {
+                [old, P::of_number(confidence / 2)]
+            };
         }
     }
 }
