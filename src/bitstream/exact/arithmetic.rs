@@ -77,6 +77,13 @@ static RATES: [i32; 16] = {
     rates
 };
 
+/// How a count grows.
+static GROWTH: [i32; 16] = {
+    let mut growth = [1; 16];
+    growth[15] = 0;
+    growth
+};
+
 impl Counter {
     /// A counter that has seen nothing.
     pub(super) const NEW: Counter = Counter(2048 << 4);
@@ -93,7 +100,7 @@ impl Counter {
         let (p, n) = (i32::from(self.0 >> 4), self.0 & 15);
         let target = if bit { 4095 } else { 0 };
         let moved = ((target - p) * RATES[usize::from(n)] + 32_768) >> 16;
-        Counter((i32::from(self.0) + (moved << 4) + i32::from(n < 15)) as u16)
+        Counter((i32::from(self.0) + (moved << 4) + GROWTH[usize::from(n)]) as u16)
     }
 }
 

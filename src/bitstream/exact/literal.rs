@@ -18,8 +18,8 @@ const PREDICTIONS: usize = 3;
 const INPUTS: usize = PREDICTIONS + 1;
 /// Classes of activity: how much the neighbours differ.
 const ACTIVITIES: usize = 16;
-/// Classes of the distance to a prediction, on both sides.
-const DISTANCES: usize = 64;
+/// Classes of the distance to a prediction: on both sides for samples of 8 bits, on each side for others.
+const DISTANCES: usize = 32;
 /// Classes of how much the counter of exact values has seen.
 const SEEN: usize = 8;
 /// Weight of each input at first, in 1/65536.
@@ -33,8 +33,10 @@ const MAX_BITS: usize = 16;
 /// The counters of four bits of a sample in one context. Entry 0 is a check value of the context, or 0 if the line has
 /// not been used. Tables of integers are not written before they are used.
 type Line = [u16; 16];
-/// The counters of a prediction, by the position of the bit and the distance.
-type Distances = [[Counter; DISTANCES]; MAX_BITS];
+/// Counters of a prediction and a bit by distance, in one cache line.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+struct Distances([Counter; DISTANCES]);
 /// Bytes of a line.
 pub(super) const LINE_BYTES: u64 = size_of::<Line>() as u64;
 
@@ -43,7 +45,7 @@ pub(super) struct Literals {
     tables: &'static Logistic,
     order: &'static [usize],
     bits: usize,
-    /// Counters by prediction; position in the order and activity.
+    /// Counters by prediction; position in the order, activity and bit; for samples of 16 bits, the side.
     distances: [Vec<Distances>; PREDICTIONS],
     /// Lines by hash.
     lines: Vec<Line>,
@@ -68,28 +70,28 @@ fn median(w: i32, n: i32, nw: i32) -> i32 {
     (w + n - nw).clamp(w.min(n), w.max(n))
 }
 
-/// Returns the place of a distance: classes that are exact up to 3 and then two an octave, on both sides of the middle.
+/// Returns the class of a distance: exact up to 3, then two classes an octave, and below 0 on the other side.
 #[inline(always)]
-const fn place(distance: i32) -> usize {
+const fn class(distance: i32) -> i32 {
     let side = distance >> 31;
     // −1 is the class next to 0 on the other side.
     let magnitude = (distance ^ side) as u32;
     let octave = (magnitude | 1).ilog2();
     let class = 2 * octave + (2 * magnitude >> octave & 1) + (magnitude == 1) as u32;
-    (DISTANCES as i32 / 2 + (class as i32 ^ side)) as usize % DISTANCES
+    class as i32 ^ side
 }
 
 /// Number of distances of samples with 8 bits, which have a table.
 const SHORT: usize = 512;
 
-/// Places of the distances from −256 on.
-static PLACES: [u8; SHORT] = {
-    let (mut places, mut i) = ([0; SHORT], 0);
+/// Classes of the distances from −256 on, modulo 32. The sides of samples of 8 bits have half as many classes.
+static CLASSES: [u8; SHORT] = {
+    let (mut classes, mut i) = ([0; SHORT], 0);
     while i < SHORT {
-        places[i] = place(i as i32 - SHORT as i32 / 2) as u8;
+        classes[i] = class(i as i32 - SHORT as i32 / 2) as u8 % DISTANCES as u8;
         i += 1;
     }
-    places
+    classes
 };
 
 /// Coding of a colour with certain instructions.
@@ -110,9 +112,9 @@ impl<C: Coder + Decisions> Task for Literal<'_, C> {
             #[inline(always)]
             |coder| {
                 if literals.bits == 8 {
-                    literals.code::<C, 8>(coder, &near, given)
+                    literals.code::<C, 8, 8>(coder, &near, given)
                 } else {
-                    literals.code::<C, 16>(coder, &near, given)
+                    literals.code::<C, 16, 32>(coder, &near, given)
                 }
             },
         )
@@ -130,21 +132,22 @@ impl Literals {
     /// Returns new models, with `2^address` lines.
     pub(super) fn new(channels: Channels, bits: usize, address: u32) -> Self {
         let order = order(channels);
-        let start: [Counter; DISTANCES] = std::array::from_fn(|i| {
-            let distance = i as u16;
-            // A bit is more likely 1 if the prediction is above the middle of the values.
-            let p = if i >= DISTANCES / 2 {
-                2048 + 110 * (distance - 32).min(15)
-            } else {
-                2047 - 110 * (31 - distance).min(15)
-            };
-            Counter(p << 4 | 1)
-        });
+        // A bit is more likely 1 if the prediction is above the middle of the values.
+        let above = |class: usize| Counter((2048 + 110 * class.min(15) as u16) << 4 | 1);
+        let below = |class: usize| Counter((2047 - 110 * class.min(15) as u16) << 4 | 1);
+        let last = DISTANCES - 1;
+        let rows = if bits == 8 {
+            let both = |i| if i < DISTANCES / 2 { above(i) } else { below(last - i) };
+            vec![Distances(std::array::from_fn(both)); order.len() * ACTIVITIES * bits]
+        } else {
+            let sides = [std::array::from_fn(|i| below(last - i)), std::array::from_fn(above)];
+            sides.map(Distances).repeat(order.len() * ACTIVITIES * bits)
+        };
         Literals {
             tables: Logistic::tables(),
             order,
             bits,
-            distances: std::array::from_fn(|_| vec![[start; MAX_BITS]; order.len() * ACTIVITIES]),
+            distances: std::array::from_fn(|_| rows.clone()),
             lines: vec![[0; 16]; 1 << address],
             address,
             weights: vec![[[[FIRST_WEIGHT; INPUTS]; SEEN]; MAX_BITS]; order.len()],
@@ -153,12 +156,12 @@ impl Literals {
 
     /// Codes a colour.
     #[inline(always)]
-    fn code<C: Coder, const BITS: usize>(&mut self, coder: &mut C, near: &Neighbours<u64>, given: u64) -> u64 {
+    fn code<C: Coder, const BITS: usize, const ROWS: usize>(&mut self, coder: &mut C, near: &Neighbours<u64>, given: u64) -> u64 {
         let (mut color, mut residual) = (0u64, 0u32);
         for step in 0..self.order.len() {
             let channel = self.order[step];
             let predictions = self.predict(step, near, color, residual);
-            let value = self.sample::<C, BITS>(coder, step, color, &predictions, sample(given, channel));
+            let value = self.sample::<C, BITS, ROWS>(coder, step, color, &predictions, sample(given, channel));
             color |= (value as u64) << (16 * channel);
             residual = value.abs_diff(predictions.values[0]);
         }
@@ -198,7 +201,7 @@ impl Literals {
 
     /// Codes a sample.
     #[inline(always)]
-    fn sample<C: Coder, const BITS: usize>(
+    fn sample<C: Coder, const BITS: usize, const ROWS: usize>(
         &mut self,
         coder: &mut C,
         step: usize,
@@ -207,13 +210,23 @@ impl Literals {
         given: i32,
     ) -> i32 {
         let known = hash(color);
+        let context = |bit: usize, value: i32| hash(known ^ (64 * step + bit) as u64 * (1 << 32) ^ value as u64);
+        let shift = 64 - self.address;
+        // The line of the lower bits, if the upper ones are those of a prediction, is on its way while these are coded.
+        if BITS == 8 {
+            std::hint::black_box(self.lines[(context(4, at.values[0] & 0xf0) >> shift) as usize][0]);
+        }
         let [first, second, third] = &mut self.distances;
-        let rows = [&mut first[at.rows[0]], &mut second[at.rows[1]], &mut third[at.rows[2]]];
+        let mut rows = [
+            rows_of::<ROWS>(first, at.rows[0]),
+            rows_of::<ROWS>(second, at.rows[1]),
+            rows_of::<ROWS>(third, at.rows[2]),
+        ];
         let weights = &mut self.weights[step];
         let (mut value, mut bit) = (0i32, BITS);
         while bit > 0 {
-            let context = hash(known ^ (64 * step + bit) as u64 * (1 << 32) ^ value as u64);
-            let line = &mut self.lines[(context >> (64 - self.address)) as usize];
+            let context = context(bit, value);
+            let line = &mut self.lines[(context >> shift) as usize];
             let check = context as u16 | 1;
             if line[0] != check {
                 *line = [Counter::NEW.0; 16];
@@ -224,11 +237,19 @@ impl Literals {
                 bit -= 1;
                 let middle = value + (1 << bit);
                 let exact = Counter(line[node]);
-                let places = at.values.map(|value| {
+                let places: [(usize, usize); PREDICTIONS] = at.values.map(|value| {
                     let distance = value - middle;
-                    if BITS > 8 { place(distance) } else { PLACES[(distance + 256) as usize % SHORT].into() }
+                    if BITS == 8 {
+                        (bit % ROWS, CLASSES[(distance + 256) as usize % SHORT].into())
+                    } else {
+                        let class = class(distance);
+                        (2 * bit % ROWS + usize::from(class >= 0), class as usize)
+                    }
                 });
-                let [a, b, c] = std::array::from_fn(|i| rows[i][bit % MAX_BITS][places[i] % DISTANCES]);
+                let [a, b, c] = std::array::from_fn(|i| {
+                    let (row, class) = places[i];
+                    rows[i][row % ROWS].0[class % DISTANCES]
+                });
                 let counters = [exact, a, b, c];
                 let logits = counters.map(|counter| self.tables.logit(counter));
                 let weights = &mut weights[bit % MAX_BITS][usize::from(exact.seen()).min(SEEN - 1)];
@@ -242,7 +263,8 @@ impl Literals {
                 }
                 line[node] = exact.after(is_one).0;
                 for i in 0..PREDICTIONS {
-                    rows[i][bit % MAX_BITS][places[i] % DISTANCES] = counters[1 + i].after(is_one);
+                    let (row, class) = places[i];
+                    rows[i][row % ROWS].0[class % DISTANCES] = counters[1 + i].after(is_one);
                 }
                 node = (2 * node + usize::from(is_one)) % 16;
                 value += i32::from(is_one) << bit;
@@ -250,6 +272,12 @@ impl Literals {
         }
         value
     }
+}
+
+/// Returns the rows of all bits of one position in the order and one activity.
+#[inline(always)]
+fn rows_of<const ROWS: usize>(all: &mut [Distances], at: usize) -> &mut [Distances; ROWS] {
+    all[at * ROWS..].first_chunk_mut().expect("rows of all bits")
 }
 
 /// Returns the number of bits of a number.
