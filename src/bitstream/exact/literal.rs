@@ -18,7 +18,7 @@ const PREDICTIONS: usize = 3;
 const INPUTS: usize = PREDICTIONS + 1;
 /// Classes of activity: how much the neighbours differ.
 const ACTIVITIES: usize = 16;
-/// Classes of the distance to a prediction: on both sides for samples of 8 bits, on each side for others.
+/// Classes of the distance to a prediction: on both sides for short samples, on each side for others.
 const DISTANCES: usize = 32;
 /// Classes of how much the counter of exact values has seen.
 const SEEN: usize = 8;
@@ -45,7 +45,7 @@ pub(super) struct Literals {
     tables: &'static Logistic,
     order: &'static [usize],
     bits: usize,
-    /// Counters by prediction; position in the order, activity and bit; for samples of 16 bits, the side.
+    /// Counters by prediction; position in the order, activity and bit; if the samples are not short, the side.
     distances: [Vec<Distances>; PREDICTIONS],
     /// Lines by hash.
     lines: Vec<Line>,
@@ -81,10 +81,18 @@ const fn class(distance: i32) -> i32 {
     class as i32 ^ side
 }
 
-/// Number of distances of samples with 8 bits, which have a table.
-const SHORT: usize = 512;
+/// Returns whether samples are short: of 8 bits, with code of its own, which WebAssembly leaves out to be small.
+const fn are_short(bits: usize) -> bool {
+    bits == 8 && !cfg!(target_family = "wasm")
+}
 
-/// Classes of the distances from −256 on, modulo 32. The sides of samples of 8 bits have half as many classes.
+/// Number of distances of short samples.
+const SHORT: usize = 512;
+/// Rows of counters of a short sample, and of others.
+const SHORT_ROWS: usize = 8;
+const ROWS: usize = 2 * MAX_BITS;
+
+/// Classes of the distances from −256 on, modulo 32. The sides of short samples have half as many classes.
 static CLASSES: [u8; SHORT] = {
     let (mut classes, mut i) = ([0; SHORT], 0);
     while i < SHORT {
@@ -111,10 +119,10 @@ impl<C: Coder + Decisions> Task for Literal<'_, C> {
         coder.apart(
             #[inline(always)]
             |coder| {
-                if literals.bits == 8 {
-                    literals.code::<C, 8, 8>(coder, &near, given)
+                if are_short(literals.bits) {
+                    literals.code::<C, true, SHORT_ROWS>(coder, &near, given)
                 } else {
-                    literals.code::<C, 16, 32>(coder, &near, given)
+                    literals.code::<C, false, ROWS>(coder, &near, given)
                 }
             },
         )
@@ -136,12 +144,12 @@ impl Literals {
         let above = |class: usize| Counter((2048 + 110 * class.min(15) as u16) << 4 | 1);
         let below = |class: usize| Counter((2047 - 110 * class.min(15) as u16) << 4 | 1);
         let last = DISTANCES - 1;
-        let rows = if bits == 8 {
+        let rows = if are_short(bits) {
             let both = |i| if i < DISTANCES / 2 { above(i) } else { below(last - i) };
-            vec![Distances(std::array::from_fn(both)); order.len() * ACTIVITIES * bits]
+            vec![Distances(std::array::from_fn(both)); order.len() * ACTIVITIES * SHORT_ROWS]
         } else {
             let sides = [std::array::from_fn(|i| below(last - i)), std::array::from_fn(above)];
-            sides.map(Distances).repeat(order.len() * ACTIVITIES * bits)
+            sides.map(Distances).repeat(order.len() * ACTIVITIES * ROWS / 2)
         };
         Literals {
             tables: Logistic::tables(),
@@ -156,12 +164,17 @@ impl Literals {
 
     /// Codes a colour.
     #[inline(always)]
-    fn code<C: Coder, const BITS: usize, const ROWS: usize>(&mut self, coder: &mut C, near: &Neighbours<u64>, given: u64) -> u64 {
+    fn code<C: Coder, const IS_SHORT: bool, const ROWS: usize>(
+        &mut self,
+        coder: &mut C,
+        near: &Neighbours<u64>,
+        given: u64,
+    ) -> u64 {
         let (mut color, mut residual) = (0u64, 0u32);
         for step in 0..self.order.len() {
             let channel = self.order[step];
             let predictions = self.predict(step, near, color, residual);
-            let value = self.sample::<C, BITS, ROWS>(coder, step, color, &predictions, sample(given, channel));
+            let value = self.sample::<C, IS_SHORT, ROWS>(coder, step, color, &predictions, sample(given, channel));
             color |= (value as u64) << (16 * channel);
             residual = value.abs_diff(predictions.values[0]);
         }
@@ -201,7 +214,7 @@ impl Literals {
 
     /// Codes a sample.
     #[inline(always)]
-    fn sample<C: Coder, const BITS: usize, const ROWS: usize>(
+    fn sample<C: Coder, const IS_SHORT: bool, const ROWS: usize>(
         &mut self,
         coder: &mut C,
         step: usize,
@@ -213,7 +226,7 @@ impl Literals {
         let context = |bit: usize, value: i32| hash(known ^ (64 * step + bit) as u64 * (1 << 32) ^ value as u64);
         let shift = 64 - self.address;
         // The line of the lower bits, if the upper ones are those of a prediction, is on its way while these are coded.
-        if BITS == 8 {
+        if IS_SHORT {
             std::hint::black_box(self.lines[(context(4, at.values[0] & 0xf0) >> shift) as usize][0]);
         }
         let [first, second, third] = &mut self.distances;
@@ -223,7 +236,7 @@ impl Literals {
             rows_of::<ROWS>(third, at.rows[2]),
         ];
         let weights = &mut self.weights[step];
-        let (mut value, mut bit) = (0i32, BITS);
+        let (mut value, mut bit) = (0i32, if IS_SHORT { 8 } else { self.bits });
         while bit > 0 {
             let context = context(bit, value);
             let line = &mut self.lines[(context >> shift) as usize];
@@ -239,7 +252,7 @@ impl Literals {
                 let exact = Counter(line[node]);
                 let places: [(usize, usize); PREDICTIONS] = at.values.map(|value| {
                     let distance = value - middle;
-                    if BITS == 8 {
+                    if IS_SHORT {
                         (bit % ROWS, CLASSES[(distance + 256) as usize % SHORT].into())
                     } else {
                         let class = class(distance);

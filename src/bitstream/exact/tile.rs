@@ -102,8 +102,11 @@ pub(crate) fn working_memory(shape: &Shape) -> u64 {
     rows + addressed * (entry_bytes(color) + LINE_BYTES) + MODELS
 }
 
-/// Colours of pictures of 8 bits.
+/// Colours of pictures of 8 bits. WebAssembly has one copy of the code for all pictures.
+#[cfg(not(target_family = "wasm"))]
 type Eight = u32;
+#[cfg(target_family = "wasm")]
+type Eight = u64;
 
 /// Work of a pixel in a run, of any other pixel, and of a bit of a literal sample, in the units of
 /// [`Limits::work`](crate::Limits::work).
