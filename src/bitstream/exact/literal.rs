@@ -230,7 +230,7 @@ impl Literals {
             std::hint::black_box(self.lines[(context(4, at.values[0] & 0xf0) >> shift) as usize][0]);
         }
         let [first, second, third] = &mut self.distances;
-        let mut rows = [
+        let rows = [
             rows_of::<ROWS>(first, at.rows[0]),
             rows_of::<ROWS>(second, at.rows[1]),
             rows_of::<ROWS>(third, at.rows[2]),
