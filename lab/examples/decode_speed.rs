@@ -115,7 +115,7 @@ fn lossless_table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
     }
     if !webp.exists() {
         let options: [&Path; 6] = ["-quiet", "-lossless", "-m", "6", "-q", "100"].map(Path::new);
-        program("cwebp", &[&options[..], &[&png, Path::new("-o"), &webp]].concat())?;
+        program("cwebp", &[&options[..], &[png.as_path(), Path::new("-o"), webp.as_path()]].concat())?;
     }
     let rows = [
         ("image-webp", &webp),
