@@ -136,10 +136,11 @@ pub(super) trait Source<P, D> {
     fn row(&mut self, _y: usize, _colors: &[P]) {}
 }
 
-/// The source of a reader, which decodes the colours.
-struct Unknown<F>(F);
+/// The source of a reader, which decodes the colours, with the receiver of its rows. The receiver has no type of its own,
+/// so that there is one copy of the code for both depths in WebAssembly.
+struct Unknown<'a, P>(&'a mut dyn FnMut(usize, &[P]));
 
-impl<P: Packed, D, F: FnMut(usize, &[P])> Source<P, D> for Unknown<F> {
+impl<P: Packed, D> Source<P, D> for Unknown<'_, P> {
     #[inline(always)]
     fn run(&mut self, _at: usize, _most: usize, _color: P) -> usize {
         0
@@ -467,19 +468,19 @@ fn samples<P: Packed, T: Copy + Default>(
     let [width, height] = shape.size;
     let count = shape.channels.count();
     let mut samples = Vec::with_capacity(width * height * count);
-    let mut source = Unknown(|y: usize, colors: &[P]| {
+    let mut row = |y: usize, colors: &[P]| {
         append(colors, shape.channels, &mut samples, cut);
         let Some(cells) = cells else { return };
-        let row = y * width * count..;
+        let from = y * width * count;
         let cells = &cells[y / CELL * width.div_ceil(CELL)..];
-        for (cell, samples) in cells.iter().zip(samples[row].chunks_mut(CELL * count)) {
+        for (cell, samples) in cells.iter().zip(samples[from..].chunks_mut(CELL * count)) {
             if !cell {
                 samples.fill(T::default());
             }
         }
-    });
+    };
     let mut state = State::<P>::new(shape);
-    state.code(decoder, height, cells, &mut source, most_work)?;
+    state.code(decoder, height, cells, &mut Unknown(&mut row), most_work)?;
     Ok((samples, state.work))
 }
 
