@@ -4,14 +4,15 @@ and docs/speed.svg.
 
     cargo build --release
     python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N]
-        [--only codecs,quality,efforts,speeds,tiny,large,decoders]
+        [--only codecs,quality,efforts,speeds,tiny,large,decoders,lossless] [--screens PICTURE...]
 
 It needs Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. The rows
 of VVC come from docs/kodak-modern.csv, because its encoder cannot be installed from a package registry. KODAK is a
 folder with kodim01.png to kodim23.png, of which the odd-numbered ones are measured. All files are measured by
 `ssplat compare`. The table of decoders (`--only decoders`) needs `cargo build --release -p ssplat-lab --example
 decode_speed`, and the programs cwebp, dwebp, avifenc and avifdec. It crops the first picture of --large to 12
-megapixels, and the second to 24. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
+megapixels, and the second to 24. The table of decoders of files without loss (`--only lossless`) needs that example
+and cwebp; it measures the pictures of --screens, repeated or cropped to 4 megapixels, and three photographs. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
 seconds of one thread.
 """
 import argparse, concurrent.futures, csv, dataclasses, hashlib, os, pathlib, sys, tempfile
@@ -38,6 +39,7 @@ args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.Raw
 args.add_argument("program", type=pathlib.Path)
 args.add_argument("kodak", type=pathlib.Path)
 args.add_argument("--large", type=pathlib.Path, nargs="*", default=[])
+args.add_argument("--screens", type=pathlib.Path, nargs="*", default=[])
 args.add_argument("--jobs", type=int, default=2)
 args.add_argument("--only", default="quality,efforts,speeds,tiny,large")
 args = args.parse_args()
@@ -259,13 +261,45 @@ def decoders():
     tables["decoders"] = table(head, rows) + f"\n\nCPU milliseconds with commit {commit}, one thread."
 
 
-for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("speeds", speeds), ("tiny", tiny), ("large", large), ("decoders", decoders)):
+def screen(picture, megapixels=4):
+    """Returns a picture, repeated and cropped to that many megapixels."""
+    from PIL import Image
+
+    path = cache / f"{picture.stem}-{megapixels}mp-screen.png"
+    if not path.exists():
+        image = Image.open(picture).convert("RGB")
+        width = max(image.width, 2400) if image.width * image.height < megapixels * 1e6 else image.width
+        height = int(megapixels * 1e6 / width)
+        made = Image.new("RGB", (width, height))
+        for y in range(0, height, image.height):
+            for x in range(0, width, image.width):
+                made.paste(image, (x, y))
+        made.save(path, compress_level=1)
+    return path
+
+
+def lossless():
+    """Times decoders on files without loss, all in one run of the example `decode_speed` with one thread."""
+    example = args.program.parent / "examples/decode_speed"
+    of = [*map(screen, args.screens), *(pictures[k] for k in (1, 2, 6))]
+    output = run([example, *of, "--lossless", "--keep", cache / f"lossless-{build}"])[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in output.splitlines() if line.count("|") == 8]
+    made = {}
+    for picture, decoder, size, _, each, _, _ in rows[2:]:
+        made.setdefault(picture, {})[decoder] = size, float(each)
+    columns = ["ssplat", "ssplat, reused", "ssplat, reading alone", "image-webp", "image-webp, reused", "png (image)"]
+    head = ["picture", "bytes", "bytes of WebP", *columns, "ssplat ÷ image-webp"]
+    body = [[name, d["ssplat"][0], d["image-webp"][0], *(number(d[c][1], 1) for c in columns), number(d["ssplat"][1] / d["image-webp"][1], 1)] for name, d in made.items()]
+    tables["lossless"] = table(head, body) + f"\n\nNanoseconds of CPU time a pixel with commit {commit}, one thread."
+
+
+for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("speeds", speeds), ("tiny", tiny), ("large", large), ("decoders", decoders), ("lossless", lossless)):
     if name in only and (name != "large" or args.large):
         measure()
         print(name, "done", flush=True)
 if not tables:
     sys.exit()
-if only != ["decoders"]:
+if not set(only) <= {"decoders", "lossless"}:
     tables["when"] = measured_when(commit)
 write_tables(page, tables)
 if all_rows:

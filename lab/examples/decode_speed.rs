@@ -13,6 +13,14 @@
 //! ssplat renders a region (the middle 1024² or less) and a thumbnail (256 pixels wide) directly; the other codecs
 //! decode the whole picture for them.
 //!
+//! With `--lossless`, the files are those without loss of ssplat and of `cwebp -lossless -m 6 -q 100`, and PNG. All decodes
+//! run on one thread and are measured in turn, several times, so that other work on the machine slows all of them. The
+//! unit is then `image-webp`, and a column has the nanoseconds of CPU time a pixel:
+//!
+//! ```sh
+//! cargo run --release -p ssplat-lab --example decode_speed -- PICTURE... --lossless
+//! ```
+//!
 //! A decode into newly allocated memory waits for the system to map each page of the picture. Rows marked "reused"
 //! decode into the buffer of the previous repetition, as a viewer or a player would. Programs do not offer this.
 
@@ -52,6 +60,9 @@ struct Args {
     /// Run only the decoders whose names begin with one of these, as `ssplat,dwebp`
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
+    /// Compare files without loss
+    #[arg(long)]
+    lossless: bool,
     /// Keep the files in this folder, and reuse the files that it contains
     #[arg(long)]
     keep: Option<PathBuf>,
@@ -70,6 +81,12 @@ fn main() -> Result<()> {
     let folder = args.keep.clone().unwrap_or_else(|| temporary.path().to_owned());
     fs::create_dir_all(&folder)?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    if args.lossless {
+        println!("Without loss, one thread, fastest of {}.\n", ROUNDS * args.repeat);
+        println!("| picture | decoder | bytes | CPU ms | ns a pixel | peak MB | CPU, image-webp = 1 |");
+        println!("|---|---|--:|--:|--:|--:|--:|");
+        return args.pictures.iter().try_for_each(|picture| lossless_table(picture, &args, &folder));
+    }
     println!("Ratio {}, effort {}, {threads} threads, fastest of {}.\n", args.ratio, args.effort, args.repeat);
     println!("| picture | decoder | bytes | CPU ms | wall ms | peak MB | CPU, zune-jpeg = 1 |");
     println!("|---|---|--:|--:|--:|--:|--:|");
@@ -77,6 +94,61 @@ fn main() -> Result<()> {
         table(picture, &args, &folder)?;
     }
     Ok(())
+}
+
+/// Rounds in which the decoders of files without loss are measured in turn.
+const ROUNDS: u32 = 3;
+
+/// The rows of one picture without loss.
+fn lossless_table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
+    let picture = DynamicImage::ImageRgb8(ImageReader::open(path)?.with_guessed_format()?.decode()?.into_rgb8());
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let pixels = f64::from(picture.width()) * f64::from(picture.height());
+    let file = |extension: &str| folder.join(format!("{name}-lossless.{extension}"));
+    let (png, ours, webp) = (file("png"), file("ssplat"), file("webp"));
+    picture.save(&png)?;
+    if !ours.exists() {
+        let mut options = EncodeOptions::default();
+        options.target = Target::Lossless;
+        options.effort = args.effort;
+        fs::write(&ours, ssplat::unstable::encode(&Pixels::try_from(picture)?, &options)?.bytes)?;
+    }
+    if !webp.exists() {
+        let options: [&Path; 6] = ["-quiet", "-lossless", "-m", "6", "-q", "100"].map(Path::new);
+        program("cwebp", &[&options[..], &[png.as_path(), Path::new("-o"), webp.as_path()]].concat())?;
+    }
+    let rows = [
+        ("image-webp", &webp),
+        ("image-webp, reused", &webp),
+        ("ssplat", &ours),
+        ("ssplat, reused", &ours),
+        ("ssplat, reading alone", &ours),
+        ("png (image)", &png),
+    ];
+    let wanted = |by: &str| args.only.is_empty() || args.only.iter().any(|start| by.starts_with(start.as_str()));
+    let mut best = [[f64::INFINITY; 3]; 6];
+    for _ in 0..ROUNDS {
+        for ((by, file), best) in rows.iter().zip(&mut best).filter(|row| wanted(row.0.0)) {
+            let figures = measured_apart(by, file, args.repeat)?;
+            *best = std::array::from_fn(|k| best[k].min(figures[k]));
+        }
+    }
+    for ((by, file), [cpu, _, peak]) in rows.into_iter().zip(best).filter(|row| wanted(row.0.0)) {
+        let (bytes, each) = (fs::metadata(file)?.len(), cpu * 1e6 / pixels);
+        println!("| {name} | {by} | {bytes} | {cpu:.1} | {each:.1} | {peak:.0} | {:.2} |", cpu / best[0][0]);
+    }
+    Ok(())
+}
+
+/// Returns what [`measured`] returns, measured in a process of its own with one thread.
+fn measured_apart(by: &str, file: &Path, repeat: u32) -> Result<[f64; 3]> {
+    let mut command = Command::new(std::env::current_exe()?);
+    command.arg(file).args(["--by", by, "--repeat", &repeat.to_string()]).env("RAYON_NUM_THREADS", "1");
+    let output = command.output()?;
+    let figures = String::from_utf8(output.stdout)?;
+    let figures: Vec<f64> = figures.split_whitespace().filter_map(|v| v.parse().ok()).collect();
+    let failed = |_| format!("{by} on {}: {}", file.display(), String::from_utf8_lossy(&output.stderr)).into();
+    figures.try_into().map_err(failed)
 }
 
 /// The rows of one picture.

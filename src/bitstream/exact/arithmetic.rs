@@ -26,7 +26,7 @@ pub(super) const MAX_LOGIT: i32 = 2047;
 
 /// The logistic function and its inverse.
 pub(super) struct Logistic {
-    /// Probability of a 1, in 1/65536, for logits from −2048 to 2047 in 1/256.
+    /// Probability of a 1, in 1/65536 and within the limits of the coder, for logits from −2048 to 2047 in 1/256.
     probability: [u16; 4096],
     /// Logit of a probability in 1/4096.
     logit: [i16; 4096],
@@ -45,14 +45,14 @@ impl Logistic {
                 }
                 at as i16 - 2048
             });
-            Logistic { probability, logit }
+            Logistic { probability: probability.map(|p| p.clamp(32, 65_504)), logit }
         })
     }
 
     /// Returns the probability of a 1 for a logit, within the limits of the coder.
     #[inline(always)]
     pub(super) fn probability(&self, logit: i32) -> u32 {
-        u32::from(self.probability[(logit.clamp(-MAX_LOGIT, MAX_LOGIT) + 2048) as usize & 4095]).clamp(32, 65_504)
+        u32::from(self.probability[(logit.clamp(-MAX_LOGIT, MAX_LOGIT) + 2048) as usize & 4095])
     }
 
     /// Returns the logit of a counter's probability.
@@ -77,6 +77,13 @@ static RATES: [i32; 16] = {
     rates
 };
 
+/// How a count grows.
+static GROWTH: [i32; 16] = {
+    let mut growth = [1; 16];
+    growth[15] = 0;
+    growth
+};
+
 impl Counter {
     /// A counter that has seen nothing.
     pub(super) const NEW: Counter = Counter(2048 << 4);
@@ -92,8 +99,8 @@ impl Counter {
     pub(super) fn after(self, bit: bool) -> Counter {
         let (p, n) = (i32::from(self.0 >> 4), self.0 & 15);
         let target = if bit { 4095 } else { 0 };
-        let p = p + (((target - p) * RATES[usize::from(n)] + 32_768) >> 16);
-        Counter((p as u16) << 4 | (n + 1).min(15))
+        let moved = ((target - p) * RATES[usize::from(n)] + 32_768) >> 16;
+        Counter((i32::from(self.0) + (moved << 4) + GROWTH[usize::from(n)]) as u16)
     }
 }
 

@@ -107,7 +107,7 @@ pub(crate) fn read(
             wanted.reaches(head.side, tile).then(|| {
                 let shape = wanted.shape(head.side, tile);
                 let samples = shape.size[0] * shape.size[1] * wanted.channels.count() * wanted.depth.bytes();
-                tile::working_memory(shape.size) + samples as u64
+                tile::working_memory(&shape) + samples as u64
             })
         });
         if batch.is_empty() {

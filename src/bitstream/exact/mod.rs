@@ -12,6 +12,7 @@ mod literal;
 mod mask;
 #[cfg(feature = "encode")]
 pub(crate) mod near;
+mod packed;
 pub(crate) mod tile;
 
 #[cfg(any(test, feature = "unstable"))]

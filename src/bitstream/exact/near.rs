@@ -250,14 +250,14 @@ impl<'a> Near<'a> {
     }
 }
 
-impl Source<Bits> for Near<'_> {
+impl Source<u64, Bits> for Near<'_> {
     fn run(&mut self, at: usize, most: usize, color: u64) -> usize {
         let length = (at..at + most).position(|at| self.error(at, color).is_none()).unwrap_or(most);
         self.chosen[at..at + length].fill(color);
         length
     }
 
-    fn color(&mut self, at: usize, colors: &mut Colors, around: &Around<'_>) -> u64 {
+    fn color(&mut self, at: usize, colors: &mut Colors<u64>, around: &Around<'_, u64>) -> u64 {
         if self.flat[at] {
             return self.given[at];
         }

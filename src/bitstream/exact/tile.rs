@@ -1,8 +1,9 @@
 //! Codes one tile, row by row: runs of flat ground, predicted colours, and literal colours (spec §12.4).
 
 use super::arithmetic::key;
-use super::colors::{Around, Colors, ENTRY_BYTES, REACH, ROWS_ABOVE};
-use super::literal::{LINE_BYTES, Literals};
+use super::colors::{Around, Colors, REACH, ROWS, entry_bytes};
+use super::literal::{LINE_BYTES, Literal, Literals};
+use super::packed::Packed;
 use super::{CELL, ExactTile, mask};
 use crate::bitstream::broken::Broken;
 use crate::bitstream::coder::range::{Coder, Decoder, Encoder};
@@ -12,6 +13,7 @@ use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parameter::Limit;
 use crate::pixels::{Depth, Samples};
+use crate::simd::{Simd, Task, dispatch};
 
 /// Pixels that are added on both sides of a row, so that contexts need no bounds.
 const MARGIN: usize = REACH;
@@ -26,19 +28,27 @@ pub(crate) struct Shape {
     pub depth: Depth,
 }
 
-/// The colours around a pixel. A colour is a number with 16 bits for each channel, the first in the lowest.
+/// The colours around a pixel.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Neighbours {
-    pub w: u64,
-    pub n: u64,
-    pub nw: u64,
-    pub ne: u64,
-    pub ww: u64,
-    pub nn: u64,
+pub(super) struct Neighbours<P> {
+    pub w: P,
+    pub n: P,
+    pub nw: P,
+    pub ne: P,
+    pub ww: P,
+    pub nn: P,
 }
 
-impl Neighbours {
-    pub(super) fn all(&self) -> [u64; 6] {
+impl<P: Packed> Neighbours<P> {
+    /// Returns the neighbours with 16 bits for each channel.
+    #[inline(always)]
+    pub(super) fn wide(&self) -> Neighbours<u64> {
+        let Neighbours { w, n, nw, ne, ww, nn } = *self;
+        Neighbours { w: w.wide(), n: n.wide(), nw: nw.wide(), ne: ne.wide(), ww: ww.wide(), nn: nn.wide() }
+    }
+
+    #[inline(always)]
+    pub(super) fn all(&self) -> [P; 6] {
         [self.w, self.n, self.nw, self.ne, self.ww, self.nn]
     }
 
@@ -57,20 +67,46 @@ impl Neighbours {
     }
 }
 
-/// Returns a sample of a colour.
+/// A row of colours with margins on both sides, and the numbers of these colours in the sums of contexts.
+pub(super) struct Row<P> {
+    pub colors: Vec<P>,
+    pub keys: Vec<u32>,
+}
+
+impl<P: Packed> Row<P> {
+    /// Sets some pixels from `at` on to a colour.
+    #[inline(always)]
+    fn fill(&mut self, at: usize, count: usize, color: P) {
+        self.colors[at..at + count].fill(color);
+        self.keys[at..at + count].fill(key(color.wide()));
+    }
+}
+
+/// Returns a sample of a colour with 16 bits for each channel.
 #[inline(always)]
 pub(super) fn sample(color: u64, channel: usize) -> i32 {
     (color >> (16 * channel)) as i32 & 0xffff
 }
 
 /// Returns the bytes of memory that coding a tile takes, without its samples.
-pub(crate) fn working_memory([width, height]: [usize; 2]) -> u64 {
+pub(crate) fn working_memory(shape: &Shape) -> u64 {
     /// Bytes of the models whose number does not depend on the tile.
     const MODELS: u64 = 2 << 20;
-    let padded = ((width + 2 * MARGIN) * (height + ROWS_ABOVE)) as u64;
+    let color = match shape.depth {
+        Depth::Eight => size_of::<Eight>(),
+        Depth::Sixteen => size_of::<u64>(),
+    };
+    let [width, height] = shape.size;
+    let rows = (ROWS * (width + 2 * MARGIN) * (color + size_of::<u32>())) as u64;
     let addressed = 1u64 << address((width * height) as u64);
-    padded * (size_of::<u64>() + size_of::<u32>()) as u64 + addressed * (ENTRY_BYTES + LINE_BYTES) + MODELS
+    rows + addressed * (entry_bytes(color) + LINE_BYTES) + MODELS
 }
+
+/// Colours of pictures of 8 bits. WebAssembly has one copy of the code for all pictures.
+#[cfg(not(target_family = "wasm"))]
+type Eight = u32;
+#[cfg(target_family = "wasm")]
+type Eight = u64;
 
 /// Work of a pixel in a run, of any other pixel, and of a bit of a literal sample, in the units of
 /// [`Limits::work`](crate::Limits::work).
@@ -84,169 +120,76 @@ fn address(pixels: u64) -> u32 {
 }
 
 /// The colours that are coded. Positions are those in the tile, row by row.
-pub(super) trait Source<D> {
+pub(super) trait Source<P, D> {
     /// Returns how many of the `most` pixels from `at` on have this colour.
-    fn run(&mut self, at: usize, most: usize, color: u64) -> usize;
+    fn run(&mut self, at: usize, most: usize, color: P) -> usize;
 
     /// Returns the colour of a pixel.
-    fn color(&mut self, at: usize, colors: &mut Colors, around: &Around<'_>) -> u64;
+    fn color(&mut self, at: usize, colors: &mut Colors<P>, around: &Around<'_, P>) -> P;
 
     /// Is called after `count` pixels from `at` on are coded.
+    #[inline(always)]
     fn coded(&mut self, _at: usize, _count: usize, _is_literal: bool, _decisions: &D) {}
+
+    /// Is called after row `y` is coded.
+    #[inline(always)]
+    fn row(&mut self, _y: usize, _colors: &[P]) {}
 }
 
-/// The source of a reader, which decodes the colours.
-struct Unknown;
+/// The source of a reader, which decodes the colours, with the receiver of its rows. The receiver has no type of its own,
+/// so that there is one copy of the code for both depths in WebAssembly.
+struct Unknown<'a, P>(&'a mut dyn FnMut(usize, &[P]));
 
-impl<D> Source<D> for Unknown {
+impl<P: Packed, D> Source<P, D> for Unknown<'_, P> {
     #[inline(always)]
-    fn run(&mut self, _at: usize, _most: usize, _color: u64) -> usize {
+    fn run(&mut self, _at: usize, _most: usize, _color: P) -> usize {
         0
     }
 
     #[inline(always)]
-    fn color(&mut self, _at: usize, _colors: &mut Colors, _around: &Around<'_>) -> u64 {
-        0
+    fn color(&mut self, _at: usize, _colors: &mut Colors<P>, _around: &Around<'_, P>) -> P {
+        P::ZERO
+    }
+
+    #[inline(always)]
+    fn row(&mut self, y: usize, colors: &[P]) {
+        self.0(y, colors);
     }
 }
 
 /// The colours of a tile's pixels.
 struct Known<'a>(&'a [u64]);
 
-impl<D> Source<D> for Known<'_> {
+impl<D> Source<u64, D> for Known<'_> {
     fn run(&mut self, at: usize, most: usize, color: u64) -> usize {
         self.0[at..].iter().take(most).take_while(|&&other| other == color).count()
     }
 
-    fn color(&mut self, at: usize, _colors: &mut Colors, _around: &Around<'_>) -> u64 {
+    fn color(&mut self, at: usize, _colors: &mut Colors<u64>, _around: &Around<'_, u64>) -> u64 {
         self.0[at]
     }
 }
 
-/// The tile being coded: its pixels with margins on all sides, and the models.
-pub(super) struct State {
-    width: usize,
-    stride: usize,
-    pixels: Vec<u64>,
-    /// Numbers of the pixels' colours in the sums of contexts.
-    keys: Vec<u32>,
-    colors: Colors,
-    literals: Literals,
+/// Models of the lengths of runs.
+struct Runs {
     /// Whether a run has its largest length: by that length, and whether the last two had.
     whole: [[Adaptive; 4]; LENGTHS],
     /// Whether the exponent of a run's length is larger: by the exponent of its largest length.
     longer: [[Adaptive; LENGTHS]; LENGTHS],
-    last_runs: usize,
-    /// Work of a literal colour.
-    literal_work: u64,
-    /// Work so far.
-    work: u64,
+    last: usize,
 }
 
-impl State {
-    pub(super) fn new(shape: &Shape) -> Self {
-        let [width, height] = shape.size;
-        let stride = width + 2 * MARGIN;
-        let white = (0..shape.channels.count()).fold(0, |v, k| v | u64::from(top(shape.depth)) << (16 * k));
-        let address = address((width * height) as u64);
-        let count = stride * (height + ROWS_ABOVE);
-        State {
-            width,
-            stride,
-            pixels: vec![white; count],
-            keys: vec![key(white); count],
-            colors: Colors::new(stride, address),
-            literals: Literals::new(shape.channels, 8 * shape.depth.bytes(), address),
-            whole: [[Adaptive::new(240, 0); 4]; LENGTHS],
-            longer: [[Adaptive::new(128, 0); LENGTHS]; LENGTHS],
-            last_runs: 0,
-            literal_work: BIT_WORK * (8 * shape.depth.bytes() * shape.channels.count()) as u64,
-            work: 0,
-        }
-    }
-
-    /// Returns the position of the first pixel of row `y`.
-    fn row(&self, y: usize) -> usize {
-        (y + ROWS_ABOVE) * self.stride + MARGIN
-    }
-
-    /// Sets some pixels from `at` on to a colour.
-    #[inline(always)]
-    fn fill(&mut self, at: usize, count: usize, color: u64) {
-        self.pixels[at..at + count].fill(color);
-        self.keys[at..at + count].fill(key(color));
-    }
-
-    /// Returns the pixels around the one at `at`.
-    #[inline(always)]
-    fn near(&self, at: usize) -> Neighbours {
-        let (row, above) = (&self.pixels[at - 2..at], &self.pixels[at - self.stride - 1..][..3]);
-        let nn = self.pixels[at - 2 * self.stride];
-        Neighbours { w: row[1], n: above[1], nw: above[0], ne: above[2], ww: row[0], nn }
-    }
-
-    /// Codes the covered pixels from column `x` to column `end` of row `y`.
-    fn span<D: Decisions + Coder>(
-        &mut self,
-        decisions: &mut D,
-        [x, y]: [usize; 2],
-        end: usize,
-        source: &mut impl Source<D>,
-    ) -> std::result::Result<(), Broken> {
-        let (row, mut x) = (self.row(y), x);
-        let mut excluded = None;
-        while x < end {
-            let at = row + x;
-            let near = self.near(at);
-            let place = y * self.width + x;
-            if excluded.is_none() && near.are_equal() && self.pixels[at - self.stride + 2] == near.w {
-                let above = &self.pixels[at - self.stride + 1..][..end - x];
-                let most = above.iter().position(|&color| color != near.w).unwrap_or(above.len());
-                let length = self.run(decisions, most, source.run(place, most, near.w))?;
-                source.coded(place, length, false, decisions);
-                if length < most {
-                    excluded = Some(near.w);
-                }
-                self.fill(at, length, near.w);
-                x += length;
-                continue;
-            }
-            let contexts = self.colors.contexts(&self.keys, at);
-            let around = Around { pixels: &self.pixels, contexts: &contexts, near: &near, excluded: excluded.take() };
-            let given = source.color(place, &mut self.colors, &around);
-            let predicted = self.colors.code(decisions, &around, given);
-            let is_literal = predicted.is_err();
-            let color = match predicted {
-                Ok(color) => color,
-                Err(excluded) => {
-                    self.work += self.literal_work;
-                    let color = decisions.apart(|coder| self.literals.code(coder, &near, given));
-                    // Otherwise, a picture would have several streams.
-                    if excluded.contains(color) {
-                        return Err(Broken { field: "literal colour that was excluded", value: color });
-                    }
-                    color
-                }
-            };
-            self.work += PIXEL_WORK;
-            (self.pixels[at], self.keys[at]) = (color, key(color));
-            self.colors.learn(&self.pixels, &contexts, at);
-            source.coded(place, 1, is_literal, decisions);
-            x += 1;
-        }
-        Ok(())
-    }
-
+impl Runs {
     /// Codes how many of the next `most` pixels have the colour of flat ground.
-    fn run<D: Decisions>(
+    fn code<D: Decisions>(
         &mut self,
         decisions: &mut D,
         most: usize,
         length: usize,
     ) -> std::result::Result<usize, Broken> {
         let class = (most.ilog2() as usize).min(LENGTHS - 1);
-        let is_whole = decisions.bit(&mut self.whole[class][self.last_runs], length == most);
-        self.last_runs = 2 * self.last_runs % 4 + usize::from(is_whole);
+        let is_whole = decisions.bit(&mut self.whole[class][self.last], length == most);
+        self.last = 2 * self.last % 4 + usize::from(is_whole);
         if is_whole {
             return Ok(most);
         }
@@ -263,17 +206,111 @@ impl State {
         }
         Ok(length)
     }
+}
 
-    /// Passes all samples to `push`, row by row with interleaved channels; those that are not covered are 0.
-    fn samples(&self, shape: &Shape, cells: Option<&[bool]>, mut push: impl FnMut(i32)) {
+/// The tile being coded: the last rows of its pixels, and the models.
+pub(super) struct State<P> {
+    width: usize,
+    /// The row that is coded, and those above it, the nearest first.
+    rows: [Row<P>; ROWS],
+    colors: Colors<P>,
+    literals: Literals,
+    runs: Runs,
+    /// Work of a literal colour.
+    literal_work: u64,
+    /// Work so far.
+    work: u64,
+}
+
+impl<P: Packed> State<P> {
+    pub(super) fn new(shape: &Shape) -> Self {
         let [width, height] = shape.size;
-        for y in 0..height {
-            for (x, &color) in self.pixels[self.row(y)..][..width].iter().enumerate() {
-                let is_covered = cells.is_none_or(|cells| cells[y / CELL * width.div_ceil(CELL) + x / CELL]);
-                let color = if is_covered { color } else { 0 };
-                (0..shape.channels.count()).for_each(|k| push(sample(color, k)));
-            }
+        let stride = width + 2 * MARGIN;
+        let white = (0..shape.channels.count()).fold(0, |v, k| v | u64::from(top(shape.depth)) << (16 * k));
+        let address = address((width * height) as u64);
+        let row = |_| Row { colors: vec![P::of(white); stride], keys: vec![key(white); stride] };
+        State {
+            width,
+            rows: std::array::from_fn(row),
+            colors: Colors::new(address),
+            literals: Literals::new(shape.channels, 8 * shape.depth.bytes(), address),
+            runs: Runs {
+                whole: [[Adaptive::new(240, 0); 4]; LENGTHS],
+                longer: [[Adaptive::new(128, 0); LENGTHS]; LENGTHS],
+                last: 0,
+            },
+            literal_work: BIT_WORK * (8 * shape.depth.bytes() * shape.channels.count()) as u64,
+            work: 0,
         }
+    }
+
+    /// Returns the pixels around the one at column `x`, which counts the margin.
+    #[inline(always)]
+    fn near(&self, x: usize) -> Neighbours<P> {
+        let [row, above, second, ..] = &self.rows;
+        let (row, above) = (&row.colors[x - 2..x], &above.colors[x - 1..x + 2]);
+        Neighbours { w: row[1], n: above[1], nw: above[0], ne: above[2], ww: row[0], nn: second.colors[x] }
+    }
+
+    /// Codes the covered pixels from column `x` to column `end` of row `y`.
+    #[inline(always)]
+    fn span<D: Decisions + Coder, S: Simd>(
+        &mut self,
+        simd: S,
+        decisions: &mut D,
+        [x, y]: [usize; 2],
+        end: usize,
+        source: &mut impl Source<P, D>,
+    ) -> std::result::Result<(), Broken> {
+        let mut x = x;
+        let mut excluded = None;
+        // End of the pixels of the same colour in the row above, as far as it is known.
+        let mut known = 0;
+        while x < end {
+            let at = x + MARGIN;
+            let near = self.near(at);
+            let place = y * self.width + x;
+            if excluded.is_none() && near.are_equal() && self.rows[1].colors[at + 2] == near.w {
+                if known <= x {
+                    let above = &self.rows[1].colors[at + 1..][..end - x];
+                    known = x + equal(above, near.w);
+                }
+                let most = known - x;
+                let length = self.runs.code(decisions, most, source.run(place, most, near.w))?;
+                source.coded(place, length, false, decisions);
+                if length < most {
+                    excluded = Some(near.w);
+                }
+                self.rows[0].fill(at, length, near.w);
+                x += length;
+                continue;
+            }
+            let contexts = self.colors.contexts(&self.rows, x);
+            let around = Around { contexts: &contexts, near: &near, excluded: excluded.take() };
+            let given = source.color(place, &mut self.colors, &around);
+            let predicted = self.colors.code(decisions, &around, given);
+            let is_literal = predicted.is_err();
+            let color = match predicted {
+                Ok(color) => color,
+                Err(excluded) => {
+                    self.work += self.literal_work;
+                    let (near, given, literals) = (near.wide(), given.wide(), &mut self.literals);
+                    let wide = simd.call(Literal { literals, coder: decisions, near, given });
+                    let color = P::of(wide);
+                    // Otherwise, a picture would have several streams.
+                    if excluded.contains(color) {
+                        return Err(Broken { field: "literal colour that was excluded", value: wide });
+                    }
+                    color
+                }
+            };
+            self.work += PIXEL_WORK;
+            (self.rows[0].colors[at], self.rows[0].keys[at]) = (color, key(color.wide()));
+            self.colors.learn(&contexts, color);
+            source.coded(place, 1, is_literal, decisions);
+            x += 1;
+        }
+        Ok(())
     }
 
     /// Codes all pixels, with at most `most_work` work.
@@ -282,17 +319,30 @@ impl State {
         decisions: &mut D,
         height: usize,
         cells: Option<&[bool]>,
-        source: &mut impl Source<D>,
+        source: &mut impl Source<P, D>,
+        most_work: u64,
+    ) -> Result<()> {
+        dispatch(Coding { state: self, decisions, height, cells, source, most_work })
+    }
+
+    #[inline(always)]
+    fn code_with<D: Decisions + Coder, S: Simd>(
+        &mut self,
+        simd: S,
+        decisions: &mut D,
+        height: usize,
+        cells: Option<&[bool]>,
+        source: &mut impl Source<P, D>,
         most_work: u64,
     ) -> Result<()> {
         for y in 0..height {
             self.work += RUN_WORK * self.width as u64;
             Limits::check(Limit::Work, self.work, most_work)?;
-            let row = self.row(y);
-            let first = self.pixels[row - self.stride];
-            self.fill(row - MARGIN, MARGIN, first);
+            self.rows.rotate_right(1);
+            let first = self.rows[1].colors[MARGIN];
+            self.rows[0].fill(0, MARGIN, first);
             match cells {
-                None => self.span(decisions, [0, y], self.width, source)?,
+                None => self.span(simd, decisions, [0, y], self.width, source)?,
                 Some(cells) => {
                     let across = self.width.div_ceil(CELL);
                     let cells = &cells[y / CELL * across..][..across];
@@ -302,22 +352,54 @@ impl State {
                         let count = cells[x / CELL..].iter().take_while(|&&cell| cell == is_covered).count();
                         let end = (x / CELL * CELL + count * CELL).min(self.width);
                         if is_covered {
-                            self.span(decisions, [x, y], end, source)?;
+                            self.span(simd, decisions, [x, y], end, source)?;
                         } else {
                             // Pixels that are not covered continue the colour to their left.
-                            let color = self.pixels[row + x - 1];
-                            self.fill(row + x, end - x, color);
+                            let color = self.rows[0].colors[MARGIN + x - 1];
+                            self.rows[0].fill(MARGIN + x, end - x, color);
                         }
                         x = end;
                     }
                 }
             }
-            let (first, last) = (self.pixels[row], self.pixels[row + self.width - 1]);
-            self.fill(row - MARGIN, MARGIN, first);
-            self.fill(row + self.width, MARGIN, last);
+            let row = &mut self.rows[0];
+            let (first, last) = (row.colors[MARGIN], row.colors[MARGIN + self.width - 1]);
+            row.fill(0, MARGIN, first);
+            row.fill(MARGIN + self.width, MARGIN, last);
+            source.row(y, &row.colors[MARGIN..][..self.width]);
         }
         Ok(())
     }
+}
+
+/// Coding of all pixels with certain instructions.
+struct Coding<'a, P, D, F> {
+    state: &'a mut State<P>,
+    decisions: &'a mut D,
+    height: usize,
+    cells: Option<&'a [bool]>,
+    source: &'a mut F,
+    most_work: u64,
+}
+
+impl<P: Packed, D: Decisions + Coder, F: Source<P, D>> Task for Coding<'_, P, D, F> {
+    type Output = Result<()>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Result<()> {
+        let Coding { state, decisions, height, cells, source, most_work } = self;
+        state.code_with(simd, decisions, height, cells, source, most_work)
+    }
+}
+
+/// Returns how many of the first pixels have a colour.
+#[inline(always)]
+fn equal<P: Packed>(pixels: &[P], color: P) -> usize {
+    /// Pixels that are compared at once, without branches.
+    const STEP: usize = 16;
+    let (steps, _) = pixels.as_chunks::<STEP>();
+    let start = STEP * steps.iter().take_while(|step| step.iter().fold(true, |all, &v| all & (v == color))).count();
+    start + pixels[start..].iter().take_while(|&&v| v == color).count()
 }
 
 /// Returns the largest sample value.
@@ -340,28 +422,85 @@ pub(super) fn colors(samples: &Samples, channels: usize) -> Vec<u64> {
     }
 }
 
+/// Sets the samples of a colour.
+#[inline(always)]
+fn unpack<P: Packed, T, const N: usize>(color: P, to: &mut [T; N], cut: impl Fn(u64) -> T) {
+    let wide = color.wide();
+    for (k, to) in to.iter_mut().enumerate() {
+        *to = cut(wide >> (16 * k));
+    }
+}
+
+/// Appends the samples of colours.
+#[inline(always)]
+fn append<P: Packed, T: Copy + Default>(
+    colors: &[P],
+    channels: Channels,
+    samples: &mut Vec<T>,
+    cut: impl Fn(u64) -> T + Copy,
+) {
+    fn all<P: Packed, T: Copy + Default, const N: usize>(
+        colors: &[P],
+        samples: &mut Vec<T>,
+        cut: impl Fn(u64) -> T + Copy,
+    ) {
+        let start = samples.len();
+        samples.resize(start + N * colors.len(), T::default());
+        let (pixels, _) = samples[start..].as_chunks_mut::<N>();
+        colors.iter().zip(pixels).for_each(|(&color, to)| unpack(color, to, cut));
+    }
+    match channels {
+        Channels::Grey => all::<P, T, 1>(colors, samples, cut),
+        Channels::GreyAlpha => all::<P, T, 2>(colors, samples, cut),
+        Channels::Rgb => all::<P, T, 3>(colors, samples, cut),
+        Channels::Rgba => all::<P, T, 4>(colors, samples, cut),
+    }
+}
+
+/// Reads the colours of a tile, with at most `most_work` work. Returns the samples and the work.
+fn samples<P: Packed, T: Copy + Default>(
+    decoder: &mut Decoder<'_>,
+    shape: &Shape,
+    cells: Option<&[bool]>,
+    most_work: u64,
+    cut: impl Fn(u64) -> T + Copy,
+) -> Result<(Vec<T>, u64)> {
+    let [width, height] = shape.size;
+    let count = shape.channels.count();
+    let mut samples = Vec::with_capacity(width * height * count);
+    let mut row = |y: usize, colors: &[P]| {
+        append(colors, shape.channels, &mut samples, cut);
+        let Some(cells) = cells else { return };
+        let from = y * width * count;
+        let cells = &cells[y / CELL * width.div_ceil(CELL)..];
+        for (cell, samples) in cells.iter().zip(samples[from..].chunks_mut(CELL * count)) {
+            if !cell {
+                samples.fill(T::default());
+            }
+        }
+    };
+    let mut state = State::<P>::new(shape);
+    state.code(decoder, height, cells, &mut Unknown(&mut row), most_work)?;
+    Ok((samples, state.work))
+}
+
 /// Reads the stream of a tile, with at most `most_work` work. Returns the tile and the work.
 pub(crate) fn read(stream: &[u8], shape: &Shape, most_work: u64) -> Result<(ExactTile, u64)> {
     let mut decoder = Decoder::new(stream)?;
     let cells = mask::code(&mut decoder, shape.size, None)?;
-    let mut state = State::new(shape);
-    let [width, height] = shape.size;
-    state.code(&mut decoder, height, cells.as_deref(), &mut Unknown, most_work)?;
-    decoder.finish()?;
-    let count = width * height * shape.channels.count();
-    let samples = match shape.depth {
+    let covered = cells.as_deref();
+    let (samples, work) = match shape.depth {
         Depth::Eight => {
-            let mut samples = Vec::with_capacity(count);
-            state.samples(shape, cells.as_deref(), |v| samples.push(v as u8));
-            Samples::U8(samples)
+            let (samples, work) = samples::<Eight, u8>(&mut decoder, shape, covered, most_work, |v| v as u8)?;
+            (Samples::U8(samples), work)
         }
         Depth::Sixteen => {
-            let mut samples = Vec::with_capacity(count);
-            state.samples(shape, cells.as_deref(), |v| samples.push(v as u16));
-            Samples::U16(samples)
+            let (samples, work) = samples::<u64, u16>(&mut decoder, shape, covered, most_work, |v| v as u16)?;
+            (Samples::U16(samples), work)
         }
     };
-    Ok((ExactTile { samples, cells }, state.work))
+    decoder.finish()?;
+    Ok((ExactTile { samples, cells }, work))
 }
 
 /// Writes the stream of a tile.
