@@ -60,6 +60,9 @@ const MAX_SURE_TOLERANCE: u32 = 2;
 const QUICK_EFFORT: u8 = 1;
 /// What a higher effort can gain at most, in decibels: of MS-SSIM or PSNR.
 const MAX_GAIN: f64 = 2.0;
+/// The same in SSIMULACRA2 points, for pages with photographs.
+#[cfg(feature = "quality-hook")]
+const MAX_GAINED_POINTS: f64 = 10.0;
 /// Smallest size of a file of Gaussians and a detail layer relative to its prediction.
 const MIN_PREDICTED: f64 = 0.75;
 /// Size of a file with near colours, relative to that prediction, up to which one fit of Gaussians is enough to compare
@@ -288,6 +291,19 @@ fn lossy(
             return Ok(None);
         }
     }
+    #[cfg(feature = "quality-hook")]
+    if let Goal::Quality(wanted) = judge.goal
+        && options.effort > QUICK_EFFORT
+        && !near.splats.gaussians.is_empty()
+    {
+        let target = Target::Bytes(near.bytes.len() as u64);
+        let quick = EncodeOptions { target, effort: QUICK_EFFORT, icc: None, exif: None, ..options.clone() };
+        let quick = EncodeOptions { thumbnail: Thumbnail::Never, ..quick };
+        let quick = encode_lossy(source, &quick, Executor::Own, progress)?;
+        if judge.score(&read(&quick.bytes)?)? < wanted - MAX_GAINED_POINTS {
+            return Ok(None);
+        }
+    }
     let lossy = encode_lossy(source, options, executor, progress)?;
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
@@ -401,11 +417,15 @@ impl<'a> Judge<'a> {
             Goal::Bytes(_) => true,
             Goal::Psnr(psnr) => metrics::psnr(self.pixels, &drawn()?)? >= psnr,
             #[cfg(feature = "quality-hook")]
-            Goal::Quality(quality) => {
-                let reference = self.reference.as_ref().expect("the goal is a quality");
-                reference.score(&drawn()?)? >= quality - CLOSE
-            }
+            Goal::Quality(quality) => self.score(splats)? >= quality - CLOSE,
         })
+    }
+
+    /// Returns the score of a file. The goal must be a quality.
+    #[cfg(feature = "quality-hook")]
+    fn score(&self, splats: &PackedSplats) -> Result<f64> {
+        let reference = self.reference.as_ref().expect("the goal is a quality");
+        reference.score(&drawn_like(splats, self.pixels)?)
     }
 }
 

@@ -26,6 +26,8 @@ const FIRST_TOLERANCE: u32 = 8;
 const FALL: f64 = 0.5;
 /// Minimum share of the room that a layer fills with which the search ends. A smaller tolerance would gain little.
 const MIN_FILLED: f64 = 0.97;
+/// The search for a quality ends when the tolerances that reach it and miss it differ by less than one in this many.
+const MIN_STEP: u32 = 8;
 /// Bytes that the parts of a file take besides the streams of the exact layer.
 const FILE_BYTES: u64 = 48;
 
@@ -126,7 +128,8 @@ fn reaching(
 ) -> Result<Option<Candidate>> {
     let (mut reaches, mut misses, mut best) = (0, MAX_TOLERANCE + 1, None);
     let mut next = FIRST_TOLERANCE;
-    while reaches + 1 < misses {
+    // Finer steps hardly change the size.
+    while reaches + 1 < misses && reaches * MIN_STEP < misses * (MIN_STEP - 1) {
         report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
         let layer = approximated(survey, layer, next).layer;
         let splats = match photographs {
