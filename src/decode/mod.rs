@@ -44,7 +44,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     let (depth, missing) = (opened.splats.depth, opened.missing());
     let renderer = opened.renderer(&view)?;
     // Release the memory of the integers before the pixels are allocated.
-    let (metadata, _reserved) = opened.into_metadata_and_memory();
+    let (metadata, _kept) = opened.into_metadata_and_memory();
     Ok(Decoded { pixels: renderer.render(depth)?, metadata, missing })
 }
 

@@ -94,8 +94,8 @@ pub struct SplatImage {
     /// Memory reserved for the integers.
     #[expect(dead_code, reason = "held until the integers are gone")]
     integers: Reservation,
-    /// Memory reserved for the metadata.
-    described: Reservation,
+    /// Memory reserved for the metadata, and for the layers, which renderers hold as well.
+    kept: Reservation,
 }
 
 impl<'a> Reader<'a> {
@@ -238,11 +238,11 @@ impl<'a> Reader<'a> {
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
         let layer = splats.detail.as_ref().map_or(0, |layer| layer.memory())
             + splats.exact.as_ref().map_or(0, |layer| layer.memory());
-        let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64 + layer)?;
+        let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64)?;
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
-        let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
-        Ok(SplatImage { splats, missing, area, limits, budget, layers, integers, described })
+        let kept = budget.reserve((carried + size_of_val(&damaged[..])) as u64 + layer)?;
+        Ok(SplatImage { splats, missing, area, limits, budget, layers, integers, kept })
     }
 }
 
@@ -356,9 +356,9 @@ impl SplatImage {
         self.splats.metadata
     }
 
-    /// Returns the metadata and the reservation of their memory, and drops the integers.
+    /// Returns the metadata and the reservation of their memory and that of the layers, and drops the integers.
     pub(crate) fn into_metadata_and_memory(self) -> (Metadata, Reservation) {
-        (self.splats.metadata, self.described)
+        (self.splats.metadata, self.kept)
     }
 
     /// Replaces [`Limits::alloc`] by a total of `alloc` bytes, which includes the memory already held.
