@@ -24,7 +24,8 @@ const WORK: u64 = 1 << 24;
 
 fuzz_target!(|input: Input| {
     let size = input.size.map(|length| u32::from(length) % 64 + 1);
-    let channels = [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba][usize::from(input.channels) % 4];
+    let channels =
+        [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba][usize::from(input.channels) % 4];
     let depth = if input.is_sixteen { Depth::Sixteen } else { Depth::Eight };
     let read = |stream: &[u8]| ExactLayer::from_stream(stream, size, channels, depth, WORK);
     if input.colors == 0 {
@@ -44,7 +45,9 @@ fuzz_target!(|input: Input| {
         Depth::Sixteen => Samples::U16((0..count).map(sample).collect()),
     };
     let pixels = Pixels::new(size[0], size[1], channels, samples).expect("samples for all pixels");
-    let layer = ExactLayer::of(&pixels, if size[0].max(size[1]) > 32 { 6 } else { 5 }, |x, y| input.cells >> (y / 8 * 8 + x / 8) & 1 == 1);
+    let layer = ExactLayer::of(&pixels, if size[0].max(size[1]) > 32 { 6 } else { 5 }, |x, y| {
+        input.cells >> (y / 8 * 8 + x / 8) & 1 == 1
+    });
     if layer.covered(size) == 0 {
         return;
     }
