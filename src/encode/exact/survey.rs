@@ -126,7 +126,7 @@ pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
                 value(row, at) - (left + up - corner).clamp(left.min(up), left.max(up))
             };
             let own = difference(at);
-            let rest = if at % count > 0 && count >= 3 { own - difference(at - 1) } else { own };
+            let rest = if !at.is_multiple_of(count) && count >= 3 { own - difference(at - 1) } else { own };
             (2.0 * f64::from(own.abs().min(rest.abs())) + 1.0).strict_log2() + 0.5
         };
         (count..row.len()).map(each).sum()
