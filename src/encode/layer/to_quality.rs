@@ -9,6 +9,7 @@ use super::texture::Texture;
 use super::{Layered, Preset, division, for_drawing, join, preset, residual, search_settings};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::PackedSplats;
+use crate::encode::constant;
 use crate::encode::rate_control::halvings;
 use crate::encode::session::{AtQuality, EncodeSession, MIN_BASE_GROWTH, Outcome};
 use crate::encode::whole::WholeSession;
@@ -50,6 +51,8 @@ const MAX_SHIFT: f64 = 0.5;
 const TYPICAL_SHARE: f64 = 0.8;
 /// The same for drawings.
 const DRAWING_SHARE: f64 = 0.3;
+/// Maximum error of one colour for which its score is measured, 1 is white.
+const MAX_FAINT: f64 = 2.0 / 255.0;
 /// Maximum number of fits, which are more than one only if the size of the file was badly predicted.
 const MAX_FITS: usize = 2;
 /// Bytes of a layer in each tile below which the layer is practically empty.
@@ -218,6 +221,9 @@ impl WholeSession<'_> {
         if options.favoured() == Tune::Psnr || self.range.is_some() || self.pixels() > LARGEST {
             return Ok(AtQuality::Unknown);
         }
+        if let Some(outcome) = self.one_colour(wanted)? {
+            return Ok(AtQuality::Done(Box::new(outcome)));
+        }
         let clock = self.report.seconds();
         let settings = self.settings_of_layer(0);
         let mut predicted = predicted(&self.planes, &settings, self.measured_texture(), wanted);
@@ -234,6 +240,20 @@ impl WholeSession<'_> {
             }
         }
         Ok(AtQuality::Expected { bytes: predicted.bytes, seen })
+    }
+
+    /// Returns the file of the mean colour if the picture has next to no contrast and the file has the score. A coarse
+    /// layer can have a larger error than it.
+    fn one_colour(&mut self, wanted: f64) -> Result<Option<Outcome>> {
+        if !constant::is_possible(self.input.options, self.blank.blend) {
+            return Ok(None);
+        }
+        let splats = self.flat();
+        if self.error_of(&splats) > MAX_FAINT * MAX_FAINT * self.fitted_samples() || self.score(&splats)? < wanted {
+            return Ok(None);
+        }
+        let bytes = self.file(&splats)?;
+        Ok(Some(Outcome { bytes, splats, float_error: f64::INFINITY, quality: None, pruned_bytes: 0 }))
     }
 
     /// Encodes to a score of `wanted` points with a fit for the predicted file. `is_last` is whether the fit is used
