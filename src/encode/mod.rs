@@ -20,8 +20,6 @@ mod pipeline;
 mod prune;
 mod rate_control;
 mod report;
-#[cfg(feature = "quality-hook")]
-mod score;
 mod session;
 mod skipped;
 mod thumbnail;

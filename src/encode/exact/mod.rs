@@ -13,14 +13,12 @@ mod survey;
 use std::ops::ControlFlow;
 
 use self::mask::Cover;
-use self::survey::{Survey, equal_neighbours, finished, sharp_edges, without_hidden};
+use self::survey::{Survey, equal_neighbours, finished, sampled_rows, sharp_edges, without_hidden};
 use super::drawn::{drawn_like, own_limits};
 #[cfg(feature = "quality-hook")]
 use super::layer::to_quality::predicted_bytes;
 use super::rate_control::picture_size;
 use super::report::ReportBuilder;
-#[cfg(feature = "quality-hook")]
-use super::score::score;
 use super::skipped::SkipReason;
 use super::trace::Tracer;
 use super::workers::Executor;
@@ -36,7 +34,7 @@ use crate::pixels::Pixels;
 use crate::rect::Rect;
 use crate::round::size::Size;
 #[cfg(feature = "quality-hook")]
-use crate::ssimulacra2::Reference;
+use crate::ssimulacra2::{Reference, ssimulacra2};
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
@@ -182,12 +180,9 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
     if !may_choose(options) || height < 2 || u64::from(width) * u64::from(height) > MAX_TRIED_PIXELS {
         return Ok(false);
     }
-    let pairs = SAMPLED_PAIRS.min(height / 2);
     let (mut either, mut both, mut edges, mut pixels) = (0, 0, 0, 0u64);
-    for i in 0..pairs {
-        let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
-        let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
-        let rows = if options.hidden == HiddenColors::Keep { rows } else { without_hidden(rows)? };
+    for rows in sampled_rows(source, SAMPLED_PAIRS) {
+        let rows = if options.hidden == HiddenColors::Keep { rows? } else { without_hidden(rows?)? };
         let equal = equal_neighbours(&rows);
         either += equal.iter().filter(|&&[left, above]| left || above).count();
         both += equal.iter().filter(|&&[left, above]| left && above).count();
@@ -271,9 +266,8 @@ fn lossy(
         let other = dissimilarity(judge.pixels, &near.splats, options)?;
         if options.effort > QUICK_EFFORT {
             let quick = EncodeOptions { effort: QUICK_EFFORT, ..options.clone() };
-            let quick = encode_lossy(source, &quick, Executor::Own, progress)?;
-            let quick = dissimilarity(judge.pixels, &read(&quick.bytes)?, options)?;
-            if quick > other + MAX_GAIN {
+            let quick = read(&encode_lossy(source, &quick, Executor::Own, progress)?.bytes)?;
+            if dissimilarity(judge.pixels, &quick, options)? > other + MAX_GAIN {
                 return Ok(None);
             }
         }
@@ -281,28 +275,24 @@ fn lossy(
         let own = dissimilarity(judge.pixels, &read(&lossy.bytes)?, options)?;
         return Ok((own <= other).then_some(lossy));
     }
-    if let Goal::Psnr(_) = judge.goal {
-        // One fit shows whether a search can find a smaller file.
-        let same_size =
-            EncodeOptions { target: Target::Bytes(near.bytes.len() as u64), icc: None, exif: None, ..options.clone() };
-        let same_size = EncodeOptions { thumbnail: Thumbnail::Never, ..same_size };
-        let first = encode_lossy(source, &same_size, Executor::Own, progress)?;
-        if !judge.is_met(&read(&first.bytes)?)? {
-            return Ok(None);
-        }
+    // One fit to the size of `near` shows whether a search can find a smaller file.
+    let mut of_same_size = |effort: u8| {
+        let (target, thumbnail) = (Target::Bytes(near.bytes.len() as u64), Thumbnail::Never);
+        let plain = EncodeOptions { target, effort, thumbnail, icc: None, exif: None, ..options.clone() };
+        read(&encode_lossy(source, &plain, Executor::Own, progress)?.bytes)
+    };
+    if let Goal::Psnr(_) = judge.goal
+        && !judge.is_met(&of_same_size(options.effort)?)?
+    {
+        return Ok(None);
     }
     #[cfg(feature = "quality-hook")]
     if let Goal::Quality(wanted) = judge.goal
         && options.effort > QUICK_EFFORT
         && !near.splats.gaussians.is_empty()
+        && judge.score(&of_same_size(QUICK_EFFORT)?)? < wanted - MAX_GAINED_POINTS
     {
-        let target = Target::Bytes(near.bytes.len() as u64);
-        let quick = EncodeOptions { target, effort: QUICK_EFFORT, icc: None, exif: None, ..options.clone() };
-        let quick = EncodeOptions { thumbnail: Thumbnail::Never, ..quick };
-        let quick = encode_lossy(source, &quick, Executor::Own, progress)?;
-        if judge.score(&read(&quick.bytes)?)? < wanted - MAX_GAINED_POINTS {
-            return Ok(None);
-        }
+        return Ok(None);
     }
     let lossy = encode_lossy(source, options, executor, progress)?;
     #[cfg(feature = "quality-hook")]
@@ -438,16 +428,17 @@ fn finish(
     mut report: ReportBuilder<'_>,
 ) -> Result<Encoded> {
     let (splats, bytes) = finished(candidate.splats, candidate.bytes, options, &mut report)?;
-    let psnr = match pixels {
-        Some(pixels) => metrics::psnr(pixels, &drawn_like(&splats, pixels)?)?,
+    let drawn = pixels.map(|pixels| drawn_like(&splats, pixels).map(|drawn| (pixels, drawn))).transpose()?;
+    let psnr = match &drawn {
+        Some((pixels, drawn)) => metrics::psnr(pixels, drawn)?,
         None => f64::INFINITY,
     };
     if options.target != Target::Lossless {
         report.note(if psnr.is_infinite() { SkipReason::Loss } else { SkipReason::NearColors }, 0, 0.0);
     }
-    let quality = match (options.target, pixels) {
+    let quality = match (options.target, &drawn) {
         #[cfg(feature = "quality-hook")]
-        (Target::Quality(_), Some(pixels)) => Some(score(pixels, &splats)?),
+        (Target::Quality(_), Some((pixels, drawn))) => Some(ssimulacra2(pixels, drawn)?),
         #[cfg(feature = "quality-hook")]
         (Target::Quality(_), None) => Some(100.0),
         _ => None,

@@ -58,14 +58,12 @@ pub(super) fn near(
             fitting(survey, layer, mask, bytes, report)?.map(|found| (found, bytes))
         }
         _ => {
-            let photographs = match mask {
-                Some(mask) => match mixed::reaching(mask, judge, options, report)? {
-                    Some(photographs) => Some(photographs),
-                    None => return Ok(None),
-                },
-                None => None,
-            };
-            return reaching(survey, layer, photographs.as_ref(), judge, options, report);
+            let photographs = mask.map(|mask| mixed::reaching(mask, judge, options, report)).transpose()?;
+            // There is a mask, but no file of its photographs.
+            if let Some(None) = photographs {
+                return Ok(None);
+            }
+            return reaching(survey, layer, photographs.flatten().as_ref(), judge, options, report);
         }
     };
     report.stage("exact layer", since);

@@ -104,6 +104,16 @@ impl Survey {
     }
 }
 
+/// Returns up to `pairs` pairs of rows, from the first ones of a picture to the last ones.
+pub(super) fn sampled_rows(source: &dyn PixelSource, pairs: u32) -> impl Iterator<Item = Result<Pixels>> {
+    let [width, height] = source.size();
+    let pairs = pairs.min(height / 2);
+    (0..pairs).map(move |i| {
+        let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
+        source.part(Rect::new(0, y.min(height - 2), width, 2))
+    })
+}
+
 /// Number of pairs of rows from which the bytes of a picture are estimated.
 #[cfg(feature = "quality-hook")]
 const ESTIMATED_PAIRS: u32 = 32;
@@ -132,11 +142,9 @@ pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
         (count..row.len()).map(each).sum()
     }
     let [width, height] = source.size();
-    let pairs = ESTIMATED_PAIRS.min(height / 2);
     let (mut sum, mut samples) = (0.0, 0.0);
-    for i in 0..pairs {
-        let y = (u64::from(height - 2) * u64::from(i) / u64::from(pairs.max(2) - 1)) as u32;
-        let rows = source.part(Rect::new(0, y.min(height - 2), width, 2))?;
+    for rows in sampled_rows(source, ESTIMATED_PAIRS) {
+        let rows = rows?;
         let count = rows.channels().count();
         sum += match rows.samples() {
             Samples::U8(v) => bits(v, count),

@@ -10,7 +10,7 @@ use super::{Layered, Preset, division, for_drawing, join, preset, residual, sear
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::constant;
-use crate::encode::rate_control::halvings;
+use crate::encode::rate_control::{at_points, halvings};
 use crate::encode::session::{AtQuality, EncodeSession, MIN_BASE_GROWTH, Outcome};
 use crate::encode::whole::WholeSession;
 use crate::error::Result;
@@ -22,24 +22,24 @@ use crate::options::{Detail, EncodeOptions, Tune};
 use crate::pixels::Pixels;
 use crate::strict_math::StrictMath;
 
-/// Steps that are assumed for a score until the picture's own are known: points, and the natural logarithm of the step
-/// in 1/64 code value. Pictures differ mostly by a shift along the second axis.
+/// Steps that are assumed for a score until the picture's own are known: the natural logarithm of the step in 1/64 code
+/// value, and points. Pictures differ mostly by a shift along the second axis.
 const TYPICAL_STEPS: [[f64; 2]; 15] = [
-    [99.0, 2.8],
-    [95.0, 4.25],
-    [93.0, 4.68],
-    [92.0, 4.87],
-    [90.0, 5.19],
-    [88.0, 5.45],
-    [85.0, 5.72],
-    [80.0, 6.11],
-    [75.0, 6.38],
-    [70.0, 6.6],
-    [60.0, 6.92],
-    [50.0, 7.14],
-    [40.0, 7.35],
-    [0.0, 8.05],
-    [-60.0, 9.2],
+    [2.8, 99.0],
+    [4.25, 95.0],
+    [4.68, 93.0],
+    [4.87, 92.0],
+    [5.19, 90.0],
+    [5.45, 88.0],
+    [5.72, 85.0],
+    [6.11, 80.0],
+    [6.38, 75.0],
+    [6.6, 70.0],
+    [6.92, 60.0],
+    [7.14, 50.0],
+    [7.35, 40.0],
+    [8.05, 0.0],
+    [9.2, -60.0],
 ];
 /// Fineness of a picture with these steps, the exponent with which the steps of a photograph fall with the fineness, and
 /// the maximum of that change of their logarithm. They were fitted to 15 photographs of Kodak, CID22 and CLIC at 70
@@ -78,9 +78,7 @@ const SAME_BLOCKS: f64 = 0.25;
 
 /// Returns the logarithm of the step with which a typical picture has this score.
 fn typical_step(points: f64) -> f64 {
-    let next = TYPICAL_STEPS.iter().position(|s| s[0] <= points).unwrap_or(TYPICAL_STEPS.len() - 1).max(1);
-    let [[high, from], [low, to]] = [TYPICAL_STEPS[next - 1], TYPICAL_STEPS[next]];
-    from + (to - from) * (high - points) / (high - low)
+    at_points(&TYPICAL_STEPS, points)
 }
 
 /// A search for the step with which a layer has a score.
@@ -437,11 +435,11 @@ mod tests {
 
     #[test]
     fn the_typical_steps_grow_as_the_score_falls() {
-        assert!(TYPICAL_STEPS.is_sorted_by(|a, b| a[0] > b[0] && a[1] < b[1]));
-        for [points, step] in TYPICAL_STEPS {
+        assert!(TYPICAL_STEPS.is_sorted_by(|a, b| a[0] < b[0] && a[1] > b[1]));
+        for [step, points] in TYPICAL_STEPS {
             assert!((typical_step(points) - step).abs() < 1e-9, "{points}");
         }
-        assert!(typical_step(100.0) < TYPICAL_STEPS[0][1]);
+        assert!(typical_step(100.0) < TYPICAL_STEPS[0][0]);
     }
 
     #[test]

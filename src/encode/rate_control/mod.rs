@@ -19,7 +19,7 @@ use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 #[cfg(feature = "quality-hook")]
-pub(super) use quality::{AIM_ABOVE, halvings};
+pub(super) use quality::{AIM_ABOVE, at_points, halvings};
 use search::{Curve, Known, ScoreGoal, Search};
 
 /// Maximum number of primitives that an encode fits.

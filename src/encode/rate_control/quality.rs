@@ -37,8 +37,13 @@ const TYPICAL_CURVE: [[f64; 2]; 10] = [
 
 /// Returns the number of halvings at which the typical curve has this score.
 pub(in crate::encode) fn halvings(points: f64) -> f64 {
-    let next = TYPICAL_CURVE.iter().position(|c| c[1] <= points).unwrap_or(TYPICAL_CURVE.len() - 1).max(1);
-    let [[from, high], [to, low]] = [TYPICAL_CURVE[next - 1], TYPICAL_CURVE[next]];
+    at_points(&TYPICAL_CURVE, points)
+}
+
+/// Returns where a curve of falling points has this many: linear between its knots and beyond them.
+pub(in crate::encode) fn at_points(curve: &[[f64; 2]], points: f64) -> f64 {
+    let next = curve.iter().position(|c| c[1] <= points).unwrap_or(curve.len() - 1).max(1);
+    let [[from, high], [to, low]] = [curve[next - 1], curve[next]];
     from + (to - from) * (high - points) / (high - low)
 }
 
