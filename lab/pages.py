@@ -6,10 +6,13 @@
 
 PHOTOGRAPHS is a folder with at least six photographs. The command writes these pictures into FOLDER: an article with two
 photographs, a dashboard, a program in an editor, a gallery, a table, a chat, a slide, a desktop with a photograph behind
-its windows, a manual, and a shop at two pixels for each pixel of the page. The text is that of the documents of this
+its windows, a manual, and a shop at two pixels for each pixel of the page; and three scans of these pages, with noise. The text is that of the documents of this
 repository. Which fonts are installed, and the version of Chromium, change the pictures a little.
 """
 import argparse, html, pathlib, random, re, subprocess, tempfile
+
+import numpy
+from PIL import Image, ImageFilter
 
 root = pathlib.Path(__file__).resolve().parent.parent
 STYLE = "<!doctype html><meta charset=utf-8><style>*{box-sizing:border-box}body{margin:0;font:16px/1.5 'DejaVu Sans'}img{display:block}%s</style>%s"
@@ -91,6 +94,18 @@ def shop(photos):
     return (720, 640, 2), "body{background:#eaeded}.g{display:grid;grid-template-columns:repeat(3,1fr);gap:12px;padding:14px}", f"<div style='background:#131921;color:#fff;padding:10px 20px'>{text(3, 2)}</div><div class=g>{cards}</div>"
 
 
+# Scans: name, page, size, whether they are grey, radius of the blur, and standard deviation of the noise.
+SCANS = [("grey", "manual.png", (900, 700), True, 0.5, 2.5), ("colour", "manual.png", (900, 700), False, 0.6, 2), ("photograph", "article.png", (1000, 900), False, 0.5, 2)]
+
+
+def scan(page, is_grey, blur, noise):
+    """Returns a page as a scanner would show it: white is 245 and black 20."""
+    values = 20 + numpy.asarray(page.filter(ImageFilter.GaussianBlur(blur)), float) * 225 / 255
+    values = values.mean(-1) if is_grey else values
+    values += numpy.random.default_rng(3).normal(0, noise, values.shape)
+    return Image.fromarray(values.round().clip(0, 255).astype(numpy.uint8))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("photographs", type=pathlib.Path)
@@ -110,6 +125,10 @@ def main():
             subprocess.run([args.chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--allow-file-access-from-files", f"--user-data-dir={folder}/profile",
                             f"--window-size={width},{height}", f"--force-device-scale-factor={scale}", f"--screenshot={out.resolve()}", source.as_uri()], check=True, capture_output=True, timeout=120)
             print(out)
+    for name, page, size, is_grey, blur, noise in SCANS:
+        out = args.folder / f"scan-{name}.png"
+        scan(Image.open(args.folder / page).convert("RGB").crop((0, 0, *size)), is_grey, blur, noise).save(out)
+        print(out)
 
 
 if __name__ == "__main__":

@@ -316,3 +316,38 @@ fn a_psnr_that_near_colours_reach_takes_fewer_bytes_than_no_loss() {
     let all = Encoder::new().psnr(99.0).effort(1).encode(&pixels).unwrap();
     assert!(all.bytes.len() <= exact(&pixels).len());
 }
+
+/// Returns letters on paper with noise in all channels, in a depth of `bits` bits.
+fn scan([width, height]: [u32; 2], channels: Channels, bits: u32) -> Pixels {
+    let mut state = 3;
+    let mut samples = Vec::new();
+    for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+        let glyph = (x / 9 * 31 + y / 16 * 17) % 61;
+        let is_ink = x % 9 < 5 && y % 16 < 8 && (x % 9 * 5 + y % 16 * 3 + glyph) % 4 < 2;
+        for _ in 0..channels.count() {
+            // About a normal distribution.
+            let noise: u64 = (0..4).map(|_| random(&mut state) % 4).sum();
+            samples.push(if is_ink { 30 } else { 230 } + noise as u16);
+        }
+    }
+    let samples = match bits {
+        8 => Samples::U8(samples.iter().map(|&v| v as u8).collect()),
+        _ => Samples::U16(samples.iter().map(|&v| v * 257 + v % 7).collect()),
+    };
+    Pixels::new(width, height, channels, samples).unwrap()
+}
+
+#[test]
+fn letters_on_paper_with_noise_stay_sharp_in_small_files() {
+    for (channels, bits) in [(Channels::Grey, 8), (Channels::Grey, 16), (Channels::Rgb, 8), (Channels::Rgb, 16)] {
+        let pixels = scan([240, 200], channels, bits);
+        let encode = |encoder: Encoder| encoder.ratio(60.0).effort(1).encode(&pixels).unwrap().report;
+        let (own, without) = (encode(Encoder::new()), encode(Encoder::new().detail(Detail::Share(0.4))));
+        let what = format!("{channels:?}, {bits} bits: {} dB, without the layer {}", own.psnr, without.psnr);
+        assert!(own.primitives == 0 && own.psnr > without.psnr + 5.0, "{what}");
+        assert!(own.skipped.iter().any(|l| l.what == SkipReason::NearColors), "{what}");
+    }
+    // A quality that needs the noise has it.
+    let noisy = Encoder::new().psnr(45.0).effort(1).encode(&scan([80, 60], Channels::Grey, 8)).unwrap();
+    assert!(noisy.report.psnr >= 45.0);
+}

@@ -183,7 +183,10 @@ fn one(args: &args::Encode, task: &Task, show: &Show, report: &Report) -> Result
     }
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(differing(&options, &encoded.report));
-    notes.extend(drawing::note(&pixels, encoded.bytes.len(), encoded.report.psnr));
+    // Near colours keep lines sharp.
+    if !encoded.report.skipped.iter().any(|skipped| skipped.what == SkipReason::NearColors) {
+        notes.extend(drawing::note(&pixels, encoded.bytes.len(), encoded.report.psnr));
+    }
     let mut done = finished(args, output, &origin, &pixels, &encoded);
     done.notes.splice(0..0, notes);
     if done.fate == Fate::LargerThanInput {

@@ -7,12 +7,14 @@
 
 mod mask;
 mod mixed;
+mod paper;
 mod search;
 mod survey;
 
 use std::ops::ControlFlow;
 
 use self::mask::Cover;
+use self::paper::Paper;
 use self::survey::{Survey, equal_neighbours, finished, sampled_rows, sharp_edges, without_hidden};
 use super::drawn::{drawn_like, own_limits};
 #[cfg(feature = "quality-hook")]
@@ -190,7 +192,7 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
         pixels += u64::from(width);
     }
     let is_repeated = either as f64 >= MIN_EQUAL * pixels as f64 && both as f64 >= MIN_BOTH_EQUAL * either as f64;
-    Ok(is_repeated || edges as f64 >= MIN_EDGES * pixels as f64)
+    Ok(is_repeated || edges as f64 >= MIN_EDGES * pixels as f64 || Paper::of(source)?.is_some())
 }
 
 /// Encodes a picture for which an exact layer [is worth trying](is_worth_trying): without loss, with near colours, or
@@ -205,13 +207,20 @@ pub(super) fn encode(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     let mut report = ReportBuilder::new(&mut *progress, Tracer::new(options.trace));
-    let survey = Survey::of(source, options, &mut report)?;
+    let [width, height] = source.size();
+    let pixels = source.part(Rect::new(0, 0, width, height))?;
+    let cleaned = Paper::of(source)?.map(|paper| paper.without_noise(&pixels)).transpose()?;
+    let shown = cleaned.as_ref().unwrap_or(&pixels);
+    let survey = if cleaned.is_some() {
+        Survey::of(shown, options, &mut report)
+    } else {
+        Survey::of(source, options, &mut report)
+    }?;
     if survey.is_constant {
         return encode_photograph(source, options, executor, progress);
     }
     let goal = Goal::of(options, &survey);
-    let pixels = source.part(Rect::new(0, 0, survey.size[0], survey.size[1]))?;
-    let mask = match mask::cover(&survey, &pixels) {
+    let mask = match mask::cover(&survey, shown) {
         Cover::All => None,
         Cover::Some(mask) => Some(mask),
         Cover::Nothing => return encode_photograph(source, options, executor, progress),
@@ -223,23 +232,37 @@ pub(super) fn encode(
         _ => Some(Candidate::new(survey.file(survey.layer.clone(), options), 0)?),
     };
     report.stage("exact layer", since);
-    if exact.as_ref().is_some_and(|exact| goal.is_met_by_size(exact, options)) {
-        return finish(exact.expect("it is met"), None, options, report);
-    }
+    let (fitting, larger) = match exact {
+        Some(exact) if goal.is_met_by_size(&exact, options) => match cleaned {
+            None => return finish(exact, None, options, report),
+            Some(_) => (Some(exact), None),
+        },
+        other => (None, other),
+    };
     let judge = Judge::new(&pixels, &goal)?;
-    let near = search::near(&survey, &judge, mask.as_ref(), options, &mut report)?;
+    let near = match fitting {
+        Some(fitting) => Some(fitting),
+        None => search::near(&survey, &judge, (shown, mask.as_ref()), options, &mut report)?,
+    };
     let near = match goal {
         Goal::Bytes(_) => near,
-        // Without loss, every quality is reached.
-        _ => near.into_iter().chain(exact).min_by_key(|file| file.bytes.len()),
+        _ => {
+            // Without loss, every quality is reached.
+            let exact = match larger {
+                Some(exact) if cleaned.is_none() || judge.is_met(&exact.splats)? => Some(exact),
+                _ => None,
+            };
+            near.into_iter().chain(exact).min_by_key(|file| file.bytes.len())
+        }
     };
     let time = options.time.map(|time| time.mul_f64((1.0 - report.seconds() / time.as_secs_f64()).max(MIN_TIME)));
     let lossy_options = EncodeOptions { time, ..options.clone() };
     let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, report.progress) };
-    let is_sure = near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
+    let is_sure = cleaned.is_none() && near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
     let predicted = if is_sure { 0.0 } else { goal.predicted_bytes(&pixels, options) };
     if !is_sure && near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
-        let has_alternative = near.tolerance > 0 && near.bytes.len() as f64 <= FEW_BYTES * predicted;
+        let has_alternative =
+            (near.tolerance > 0 || cleaned.is_some()) && near.bytes.len() as f64 <= FEW_BYTES * predicted;
         let lossy_options = EncodeOptions { has_alternative, ..lossy_options };
         let since = report.seconds();
         match lossy(source, &judge, &near, &lossy_options, executor, &mut report) {

@@ -16,6 +16,7 @@ use crate::encode::thumbnail;
 use crate::error::Result;
 use crate::options::EncodeOptions;
 use crate::parallel;
+use crate::pixels::Pixels;
 use crate::strict_math::StrictMath;
 
 /// Largest tolerance, in 8-bit code values. With larger ones, letters lose their shape.
@@ -38,19 +39,20 @@ struct Approximation {
     bytes: f64,
 }
 
-/// Returns the best file whose exact layer has near colours, or `None` if none reaches the goal.
+/// Returns the best file whose exact layer has near colours, or `None` if none reaches the goal. `shown` is the picture
+/// that the layer stores.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled) if the caller cancels.
 pub(super) fn near(
     survey: &Survey,
     judge: &Judge<'_>,
-    mask: Option<&Mask>,
+    (shown, mask): (&Pixels, Option<&Mask>),
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
     let since = report.seconds();
-    let masked = mask.map(|mask| ExactLayer::of(judge.pixels, SIDES[0], |x, y| mask.covers([x, y])));
+    let masked = mask.map(|mask| ExactLayer::of(shown, SIDES[0], |x, y| mask.covers([x, y])));
     let layer = masked.as_ref().unwrap_or(&survey.layer);
     let found = match *judge.goal {
         Goal::Bytes(bytes) => {
