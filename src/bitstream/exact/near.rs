@@ -76,11 +76,11 @@ pub(crate) struct Chosen {
 }
 
 /// Chooses the colours of a tile. No sample differs by more than `tolerance` 8-bit code values from that of `tile`, and
-/// samples of flat ground do not differ.
-pub(crate) fn approximate(tile: &ExactTile, shape: &Shape, tolerance: f32) -> Chosen {
+/// samples of flat ground and of the cells that are `kept` do not differ.
+pub(crate) fn approximate(tile: &ExactTile, shape: &Shape, tolerance: f32, kept: Option<&[bool]>) -> Chosen {
     let cells = tile.cells.as_deref();
     let given = colors(&tile.samples, shape.channels.count());
-    let mut near = Near::new(&given, shape, cells, tolerance);
+    let mut near = Near::new(&given, shape, cells, tolerance, kept);
     let coded = State::new(shape).code(&mut Bits::default(), shape.size[1], cells, &mut near, u64::MAX);
     coded.expect("a valid tile");
     let samples = samples(&near.chosen, shape);
@@ -146,7 +146,7 @@ struct Near<'a> {
     given: &'a [u64],
     width: usize,
     differences: Differences,
-    /// Whether each pixel belongs to flat ground.
+    /// Whether each pixel belongs to flat ground or to a cell that is kept.
     flat: Vec<bool>,
     /// Mean bits of a literal.
     literal: f32,
@@ -159,7 +159,7 @@ struct Near<'a> {
 }
 
 impl<'a> Near<'a> {
-    fn new(given: &'a [u64], shape: &Shape, cells: Option<&[bool]>, tolerance: f32) -> Self {
+    fn new(given: &'a [u64], shape: &Shape, cells: Option<&[bool]>, tolerance: f32, kept: Option<&[bool]>) -> Self {
         let [width, height] = shape.size;
         let unit = match shape.depth {
             Depth::Eight => 1.0,
@@ -177,6 +177,12 @@ impl<'a> Near<'a> {
         };
         near.flat = (0..given.len()).map(|at| near.is_flat(at)).collect();
         near.chosen = near.reduced(cells);
+        if let Some(kept) = kept {
+            for at in (0..given.len()).filter(|&at| kept[at / width / CELL * width.div_ceil(CELL) + at % width / CELL])
+            {
+                (near.flat[at], near.chosen[at]) = (true, given[at]);
+            }
+        }
         near
     }
 
@@ -338,7 +344,7 @@ mod tests {
                 let (tile, shape) = (letters(channels, depth, size), Shape { size, channels, depth });
                 let mut before = write(&tile, &shape).len();
                 for tolerance in [4.0, 12.0, 32.0] {
-                    let chosen = approximate(&tile, &shape, tolerance);
+                    let chosen = approximate(&tile, &shape, tolerance, None);
                     for (own, other) in values(&tile).iter().zip(values(&chosen.tile)) {
                         assert!((own - other).abs() <= tolerance, "{channels:?} {depth:?}: {own} became {other}");
                     }
@@ -361,7 +367,7 @@ mod tests {
         let size = [61, 50];
         let shape = Shape { size, channels: Channels::Rgba, depth: Depth::Eight };
         let tile = letters(Channels::Rgba, Depth::Eight, size);
-        let chosen = values(&approximate(&tile, &shape, 48.0).tile);
+        let chosen = values(&approximate(&tile, &shape, 48.0, None).tile);
         for (own, other) in values(&tile).chunks_exact(4).zip(chosen.chunks_exact(4)) {
             assert!(own != [200.0; 4] || own == other);
             assert!(![0.0, 255.0].contains(&own[3]) || own[3] == other[3], "{own:?} became {other:?}");
@@ -373,6 +379,6 @@ mod tests {
         let size = [40, 30];
         let shape = Shape { size, channels: Channels::Rgb, depth: Depth::Eight };
         let tile = letters(Channels::Rgb, Depth::Eight, size);
-        assert_eq!(approximate(&tile, &shape, 0.0).tile, tile);
+        assert_eq!(approximate(&tile, &shape, 0.0, None).tile, tile);
     }
 }

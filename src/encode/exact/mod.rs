@@ -242,7 +242,10 @@ pub(super) fn encode(
     let judge = Judge::new(&pixels, &goal)?;
     let near = match fitting {
         Some(fitting) => Some(fitting),
-        None => search::near(&survey, &judge, (shown, mask.as_ref()), options, &mut report)?,
+        None => {
+            let exact = larger.as_ref().map(|exact| exact.bytes.len());
+            search::near(&survey, &judge, (shown, mask.as_ref()), exact, options, &mut report)?
+        }
     };
     let near = match goal {
         Goal::Bytes(_) => near,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::mask::Mask;
 use super::mixed::BASE_SHARE;
 use super::survey::{SIDES, Survey};
-use super::{Candidate, Goal, Judge, mixed};
+use super::{Candidate, Goal, Judge, MAX_SURE_TOLERANCE, mixed};
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::near::approximate;
 use crate::bitstream::exact::tile::Shape;
@@ -25,8 +25,14 @@ const MAX_TOLERANCE: u32 = 48;
 const FIRST_TOLERANCE: u32 = 8;
 /// Power of the tolerance with which the bytes fall, before two tries show it.
 const FALL: f64 = 0.5;
+/// Size of a file without loss, relative to the requested one, up to which photographs in a page may have near colours as
+/// well, within [`MAX_SURE_TOLERANCE`].
+const ALMOST_FITS: f64 = 1.4;
 /// Minimum share of the room that a layer fills with which the search ends. A smaller tolerance would gain little.
 const MIN_FILLED: f64 = 0.97;
+/// Number of tries for a layer that is partly without loss, and the share of the room that those after the first aim at.
+const PARTLY_EXACT_TRIES: u32 = 4;
+const AIMED: f64 = 0.98;
 /// The search for a quality ends when the tolerances that reach it and miss it differ by less than one in this many.
 const MIN_STEP: u32 = 8;
 /// Bytes that the parts of a file take besides the streams of the exact layer.
@@ -35,12 +41,14 @@ const FILE_BYTES: u64 = 48;
 /// A layer with near colours.
 struct Approximation {
     layer: ExactLayer,
+    /// Estimated bits of each cell of each tile.
+    bits: Vec<Vec<f32>>,
     /// Estimated bytes of the layer.
     bytes: f64,
 }
 
 /// Returns the best file whose exact layer has near colours, or `None` if none reaches the goal. `shown` is the picture
-/// that the layer stores.
+/// that the layer stores, and `exact` the bytes of a file without loss, if they are known.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled) if the caller cancels.
@@ -48,6 +56,7 @@ pub(super) fn near(
     survey: &Survey,
     judge: &Judge<'_>,
     (shown, mask): (&Pixels, Option<&Mask>),
+    exact: Option<usize>,
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
@@ -57,7 +66,14 @@ pub(super) fn near(
     let found = match *judge.goal {
         Goal::Bytes(bytes) => {
             let bytes = bytes.saturating_sub(thumbnail::reserved(options, survey.size, bytes));
-            fitting(survey, layer, mask, bytes, report)?.map(|found| (found, bytes))
+            if mask.is_some() && exact.is_some_and(|exact| exact as f64 <= ALMOST_FITS * bytes as f64) {
+                let found = fitting(survey, &survey.layer, None, (bytes, MAX_SURE_TOLERANCE), report)?;
+                if let Some((layer, tolerance)) = found {
+                    report.stage("exact layer", since);
+                    return Candidate::new(survey.file(layer, options), tolerance).map(Some);
+                }
+            }
+            fitting(survey, layer, mask, (bytes, MAX_TOLERANCE), report)?.map(|found| (found, bytes))
         }
         _ => {
             let photographs = mask.map(|mask| mixed::reaching(mask, judge, options, report)).transpose()?;
@@ -77,34 +93,41 @@ pub(super) fn near(
     }
 }
 
-/// Returns the layer with the smallest tolerance that fits into `bytes`, and the tolerance.
+/// Returns the layer with the smallest tolerance up to `most` that fits into `bytes`, and the tolerance.
 fn fitting(
     survey: &Survey,
     layer: &ExactLayer,
     mask: Option<&Mask>,
-    bytes: u64,
+    (bytes, most): (u64, u32),
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<(ExactLayer, u32)>> {
     let room = bytes.saturating_sub(FILE_BYTES) as f64;
     // The largest tolerance that does not fit, and the smallest that does.
-    let (mut too_small, mut best) = (0, None::<(ExactLayer, u32)>);
-    let (mut next, mut last, mut power) = (FIRST_TOLERANCE, None::<[f64; 2]>, FALL);
+    let (mut too_small, mut best) = (0, None::<(Approximation, u32)>);
+    let (mut next, mut last, mut power) = (FIRST_TOLERANCE.min(most), None::<[f64; 2]>, FALL);
     loop {
-        report.stage_progress("exact layer", too_small as f32 / MAX_TOLERANCE as f32)?;
-        let tried = approximated(survey, layer, next);
+        report.stage_progress("exact layer", too_small as f32 / most as f32)?;
+        let tried = approximated(survey, layer, next, None);
         let bytes = tried.bytes + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32) / (1.0 - BASE_SHARE));
         let logs = [f64::from(next), bytes / room].map(|v| v.strict_ln());
         if bytes <= room {
-            best = Some((tried.layer, next));
-            if bytes >= MIN_FILLED * room {
-                return Ok(best);
+            let is_filled = bytes >= MIN_FILLED * room;
+            best = Some((tried, next));
+            if is_filled {
+                break;
             }
         } else {
             too_small = next;
         }
-        let fits = best.as_ref().map_or(MAX_TOLERANCE + 1, |&(_, fits)| fits);
+        let fits = best.as_ref().map_or(most + 1, |&(_, fits)| fits);
         if too_small + 1 >= fits {
-            return Ok(best);
+            // Between no loss and a tolerance of 1, a part of the picture can be without loss.
+            if let (Some((coarse, 1)), None) = (&best, mask) {
+                report.stage_progress("exact layer", 0.0)?;
+                let mixed = partly_exact(survey, layer, coarse, room);
+                best = best.map(|(coarse, fits)| (mixed.unwrap_or(coarse), fits));
+            }
+            break;
         }
         // The bytes fall with a power of the tolerance, which is that between the last two tries.
         if let Some([tolerance, bytes]) = last {
@@ -112,8 +135,43 @@ fn fitting(
         }
         last = Some(logs);
         let wanted = (logs[0] + logs[1] / power).strict_exp().ceil();
-        next = (wanted.min(f64::from(MAX_TOLERANCE)) as u32).clamp(too_small + 1, fits - 1);
+        next = (wanted.min(f64::from(most)) as u32).clamp(too_small + 1, fits - 1);
     }
+    Ok(best.map(|(found, tolerance)| (found.layer, tolerance)))
+}
+
+/// Returns a layer that fits into `room` bytes and is without loss in as many cells as possible; the others have a
+/// tolerance of 1, with which `coarse` fits. These are the cells in which that saves most, whose colours hide the
+/// difference best. Returns `None` if no such layer is found.
+fn partly_exact(survey: &Survey, layer: &ExactLayer, coarse: &Approximation, room: f64) -> Option<Approximation> {
+    let exact = approximated(survey, layer, 0, None);
+    let mut saved: Vec<(f32, usize, usize)> = Vec::new();
+    for (tile, (exact, coarse)) in exact.bits.iter().zip(&coarse.bits).enumerate() {
+        saved.extend(exact.iter().zip(coarse).enumerate().map(|(cell, (exact, coarse))| (exact - coarse, tile, cell)));
+    }
+    saved.retain(|&(bits, ..)| bits > 0.0);
+    saved.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    // Contexts repeat less at the borders of the cells, so that the layer is larger than the sum of its cells. The next
+    // try aims at less, by what the last one shows.
+    let mut aim = room;
+    for _ in 0..PARTLY_EXACT_TRIES {
+        let mut missing = 8.0 * (exact.bytes - aim);
+        let mut kept: Vec<Vec<bool>> = exact.bits.iter().map(|bits| vec![true; bits.len()]).collect();
+        for &(bits, tile, cell) in &saved {
+            if missing <= 0.0 {
+                break;
+            }
+            missing -= f64::from(bits);
+            kept[tile][cell] = false;
+        }
+        let found = approximated(survey, layer, 1, Some(&kept));
+        if found.bytes <= room {
+            return Some(found);
+        }
+        let share = (AIMED * room - coarse.bytes) / (found.bytes - coarse.bytes);
+        aim = coarse.bytes + share.clamp(0.0, 1.0) * (aim - coarse.bytes);
+    }
+    None
 }
 
 /// Returns the file with the largest tolerance that reaches a quality, if one does. `photographs` is what the layer does
@@ -131,7 +189,7 @@ fn reaching(
     // Finer steps hardly change the size.
     while reaches + 1 < misses && reaches * MIN_STEP < misses * (MIN_STEP - 1) {
         report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
-        let layer = approximated(survey, layer, next).layer;
+        let layer = approximated(survey, layer, next, None).layer;
         let splats = match photographs {
             Some(photographs) => PackedSplats { exact: Some(Arc::new(layer)), ..photographs.clone() },
             None => survey.file(layer, options),
@@ -147,14 +205,18 @@ fn reaching(
     best.map(|(splats, tolerance)| Candidate::new(splats, tolerance)).transpose()
 }
 
-/// Chooses near colours for all tiles of a layer.
-fn approximated(survey: &Survey, layer: &ExactLayer, tolerance: u32) -> Approximation {
+/// Chooses near colours for all tiles of a layer. The cells of each tile that are `kept` have no loss.
+fn approximated(survey: &Survey, layer: &ExactLayer, tolerance: u32, kept: Option<&[Vec<bool>]>) -> Approximation {
     let tiles = parallel::map(layer.tiles.len(), |i| {
         let [_, _, width, height] = tile_area(survey.size, layer.side, i);
         let shape = Shape { size: [width, height], channels: survey.channels, depth: survey.depth };
-        layer.tiles[i].as_ref().map(|tile| approximate(tile, &shape, tolerance as f32))
+        let kept = kept.map(|cells| &cells[i][..]);
+        layer.tiles[i].as_ref().map(|tile| approximate(tile, &shape, tolerance as f32, kept))
     });
-    let bits = tiles.iter().flatten().map(|chosen| f64::from(chosen.bits.iter().sum::<f32>())).sum::<f64>();
-    let tiles: Vec<Option<ExactTile>> = tiles.into_iter().map(|chosen| chosen.map(|chosen| chosen.tile)).collect();
-    Approximation { layer: ExactLayer { side: layer.side, tiles }, bytes: bits / 8.0 }
+    let (tiles, bits): (Vec<Option<ExactTile>>, Vec<Vec<f32>>) = tiles
+        .into_iter()
+        .map(|chosen| chosen.map_or((None, Vec::new()), |chosen| (Some(chosen.tile), chosen.bits)))
+        .unzip();
+    let bytes = bits.iter().flatten().map(|&bits| f64::from(bits)).sum::<f64>() / 8.0;
+    Approximation { layer: ExactLayer { side: layer.side, tiles }, bits, bytes }
 }
