@@ -124,9 +124,10 @@ fn every_flipped_bit_is_detected() {
 #[test]
 fn every_value_of_every_header_byte_is_refused_or_valid() {
     let mut outcomes = Outcomes::default();
-    for (_, bytes) in sound() {
+    for (k, (_, bytes)) in sound().into_iter().enumerate() {
         for at in 0..12 {
-            for value in 0..=255 {
+            // Each value is tried in a third of the files.
+            for value in (0..=255).filter(|value| (k + usize::from(*value)).is_multiple_of(3)) {
                 let mut changed = bytes.clone();
                 changed[at] = value;
                 seal(&mut changed);
