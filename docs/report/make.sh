@@ -14,7 +14,7 @@ done
 if [ "$(uname)" = Darwin ]; then features="--features gpu"; fi
 # The stiff cases are integration tests and unit tests. The report shows the rows that they print.
 # shellcheck disable=SC2086
-cargo test -q --release -p ssplat -p ssplat-lab $features --test stability -- --nocapture >"$out/tests.txt"
+cargo test -q --release -p ssplat -p ssplat-lab $features --test writing stability -- --nocapture >"$out/tests.txt"
 # shellcheck disable=SC2086
 cargo test -q --release -p ssplat -p ssplat-lab $features --lib stability -- --nocapture >>"$out/tests.txt"
 # shellcheck disable=SC2086

@@ -65,7 +65,7 @@ fn files(count: usize) -> Result<Vec<(String, Vec<u8>)>> {
     for kind in ["valid", "reduced", "invalid", "limits"] {
         for path in entries(&root.join("spec/vectors").join(kind))? {
             let bytes = fs::read(path.join("file.ssplat"))?;
-            // The files that `tests/malformed.rs` mutates.
+            // The files that `tests/reading/malformed.rs` mutates.
             if kind == "valid" && bytes.len() < 8192 {
                 sound.push(bytes.clone());
             }

@@ -14,11 +14,10 @@ use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::options::Layers;
+use crate::parallel;
 use crate::parameter::{Limit, Parameter};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::simd;
-#[cfg(feature = "rayon")]
-use rayon::prelude::*;
 use std::sync::Mutex;
 
 /// A view of a picture that can be rendered any number of times.
@@ -337,11 +336,7 @@ impl Renderer {
     }
 
     fn draw_bands<T: Sample>(&self, bands: Vec<(u32, &mut [T])>, source: Option<Source<'_>>) {
-        let draw = |band| self.draw_band(band, source);
-        #[cfg(feature = "rayon")]
-        bands.into_par_iter().for_each(draw);
-        #[cfg(not(feature = "rayon"))]
-        bands.into_iter().for_each(draw);
+        parallel::map_each(bands.into_iter(), |_, band| self.draw_band(band, source));
     }
 
     /// Renders a band, some of its tiles at a time. For pictures with small tiles, the slices of all their rows
@@ -356,10 +351,7 @@ impl Renderer {
     }
 
     fn draw_groups<'a, T: Sample>(&self, groups: Vec<Vec<Piece<'a, T>>>, draw: &(impl Fn(Vec<Piece<'a, T>>) + Sync)) {
-        #[cfg(feature = "rayon")]
-        groups.into_par_iter().for_each(draw);
-        #[cfg(not(feature = "rayon"))]
-        groups.into_iter().for_each(draw);
+        parallel::map_each(groups.into_iter(), |_, group| draw(group));
     }
 
     /// Renders tiles that lie in one tile of the layer.
@@ -379,11 +371,9 @@ impl Renderer {
     }
 
     fn draw_group<T: Sample>(&self, group: Vec<Piece<'_, T>>, source: Option<Source<'_>>) {
-        #[cfg(feature = "rayon")]
-        let pieces = group.into_par_iter();
-        #[cfg(not(feature = "rayon"))]
-        let pieces = group.into_iter();
-        pieces.for_each(|(band, column, mut rows)| self.draw_tile((band, column), source, &mut rows));
+        parallel::map_each(group.into_iter(), |_, (band, column, mut rows)| {
+            self.draw_tile((band, column), source, &mut rows);
+        });
     }
 
     /// Returns the columns of the output within a tile that the view shows.

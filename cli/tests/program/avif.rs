@@ -1,0 +1,130 @@
+//! AVIF as an input: pixels of 8 and 10 bits, alpha, rotation and profiles of files by `avifenc` 0.11.1, and files that
+//! were damaged.
+//!
+//! The files in `avif/` were made of a picture of ramps, 64 × 48 pixels, with `-s 8 -y 444 --min 0 --max 10`: of 8 bits
+//! (`rgb`, `rgba`), with `-d 10` (`rgb-10`, `rgba-10`), `-y 400` (`grey`), `--irot 1` (`turned`), `--imir 0` (`mirrored`),
+//! and `--icc` (`icc`). `large` is a grey of 16385 × 8193 pixels.
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::DynamicImage;
+use image::metadata::Orientation;
+use ssplat::{Channels, Depth};
+use ssplat_cli::failure::{Failure, Kind};
+use ssplat_cli::input::Input;
+use ssplat_cli::source::{self, Reading, Source, Turn};
+
+fn path(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/avif").join(name)
+}
+
+fn open(name: &str, turn: Turn) -> Source {
+    source::open(&path(name), turn).unwrap_or_else(|e| panic!("{name}: {}", e.message))
+}
+
+fn read(bytes: Vec<u8>) -> Result<Source, Failure> {
+    source::read(Path::new("a.avif"), Input::Memory(Cursor::new(bytes)), &Reading::turned(Turn::Keep))
+}
+
+/// The picture that the files were made of: red, green, blue and alpha at a place.
+fn ramps(x: u32, y: u32) -> [u8; 4] {
+    [x as u8 * 4, y as u8 * 5, (x + y) as u8 * 2, 255 - x as u8 * 2]
+}
+
+/// Returns the largest difference from the picture that the files were made of, of 255; `at` gives the place that is seen at
+/// a place.
+fn difference(source: Source, at: impl Fn(u32, u32) -> (u32, u32)) -> u8 {
+    let picture = DynamicImage::from(source.pixels);
+    let (has_alpha, is_grey) = (picture.color().has_alpha(), !picture.color().has_color());
+    let samples = picture.into_rgba8();
+    let differences = samples.enumerate_pixels().flat_map(|(x, y, seen)| {
+        let (x, y) = at(x, y);
+        let mut made = ramps(x, y);
+        if is_grey {
+            made = [made[0], made[0], made[0], made[3]];
+        }
+        if !has_alpha {
+            made[3] = 255;
+        }
+        [0, 1, 2, 3].map(|k| made[k].abs_diff(seen.0[k]))
+    });
+    differences.max().unwrap()
+}
+
+#[test]
+fn files_have_their_own_channels_and_depth_and_the_pixels_that_they_were_made_of() {
+    for (name, channels, depth) in [
+        ("rgb.avif", Channels::Rgb, Depth::Eight),
+        ("rgb-10.avif", Channels::Rgb, Depth::Sixteen),
+        ("rgba.avif", Channels::Rgba, Depth::Eight),
+        ("rgba-10.avif", Channels::Rgba, Depth::Sixteen),
+        ("grey.avif", Channels::Grey, Depth::Eight),
+        ("icc.avif", Channels::Rgb, Depth::Eight),
+    ] {
+        let source = open(name, Turn::Keep);
+        let pixels = &source.pixels;
+        assert_eq!(
+            (pixels.width(), pixels.height(), pixels.channels(), pixels.depth()),
+            (64, 48, channels, depth),
+            "{name}"
+        );
+        assert_eq!(source.icc.is_some(), name == "icc.avif", "{name}");
+        assert_eq!(source.orientation, Orientation::NoTransforms, "{name}");
+        let off = difference(source, |x, y| (x, y));
+        assert!(off <= 8, "{name}: {off}");
+    }
+}
+
+#[test]
+fn a_turned_file_is_turned_and_a_mirrored_one_refused() {
+    assert_eq!(open("turned.avif", Turn::Keep).orientation, Orientation::Rotate270);
+    let upright = open("turned.avif", Turn::Upright);
+    assert_eq!((upright.pixels.width(), upright.pixels.height()), (48, 64));
+    // A quarter of a turn anticlockwise: the top row was the right column.
+    let off = difference(upright, |x, y| (63 - y, x));
+    assert!(off <= 8, "{off}");
+    let refused = source::open(&path("mirrored.avif"), Turn::Keep).err().expect("a mirrored file is refused");
+    assert!(refused.kind == Kind::Unsupported && refused.message.contains("avifdec"), "{}", refused.message);
+}
+
+#[test]
+fn damaged_files_are_errors_and_none_takes_forever() {
+    let whole = fs::read(path("rgba.avif")).unwrap();
+    let data = whole.windows(4).position(|word| word == b"mdat").unwrap() + 4;
+    for length in [12, 40, 200, data, data + 9, whole.len() - 1] {
+        let failure = read(whole[..length].to_vec()).err().unwrap_or_else(|| panic!("{length} bytes are read"));
+        assert_eq!(failure.kind, Kind::Format, "{length}: {}", failure.message);
+    }
+    // Data without a picture: zeros, and temporal delimiters alone.
+    for filler in [[0, 0], [0x12, 0]] {
+        let mut bytes = whole.clone();
+        bytes[data..].iter_mut().zip(filler.into_iter().cycle()).for_each(|(byte, with)| *byte = with);
+        assert_eq!(read(bytes).err().map(|e| e.kind), Some(Kind::Format), "{filler:?}");
+    }
+    // A box that states more bytes than any memory has.
+    let mut bytes = whole[..data - 8].to_vec();
+    bytes.extend([0, 0, 0, 1, b'm', b'd', b'a', b't', 0, 0, 0x40, 0, 0, 0, 0, 0]);
+    bytes.extend(&whole[data..]);
+    assert!(read(bytes).is_err());
+    // Each byte of the boxes changed.
+    for at in 0..data {
+        for with in [0, 0xff, whole[at] ^ 1] {
+            let mut bytes = whole.clone();
+            bytes[at] = with;
+            let _ = read(bytes);
+        }
+    }
+}
+
+#[test]
+fn a_picture_beyond_the_limit_is_refused_before_it_is_decoded() {
+    let refused = source::open(&path("large.avif"), Turn::Keep).err().expect("134 megapixels are refused");
+    assert_eq!(
+        (refused.kind, refused.message.contains("134217728 pixels")),
+        (Kind::Limit, true),
+        "{}",
+        refused.message
+    );
+}
