@@ -28,6 +28,23 @@ class FormatError(Error, ValueError):
     """The file breaks the specification."""
 
 
+class TruncatedError(FormatError):
+    """The file ends too early: it was cut off, or has not arrived completely.
+
+    Attributes:
+        bytes: the length of the data.
+        of: the length of the whole file, or None if the data do not state it.
+    """
+
+    def __init__(self, message: str, bytes: int = 0, of: int | None = None) -> None:
+        super().__init__(message)
+        self.bytes = bytes
+        self.of = of
+
+    def __reduce__(self) -> tuple[type[TruncatedError], tuple[str, int, int | None]]:
+        return type(self), (str(self), self.bytes, self.of)
+
+
 class UnsupportedVersionError(Error, ValueError):
     """The file has a format version that is not supported, for example a newer one.
 
