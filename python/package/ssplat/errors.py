@@ -12,6 +12,7 @@ __all__ = [
     "PartialWarning",
     "ParameterError",
     "QualityWarning",
+    "TruncatedError",
     "UnsupportedVersionError",
 ]
 
@@ -38,11 +39,7 @@ class TruncatedError(FormatError):
 
     def __init__(self, message: str, bytes: int = 0, of: int | None = None) -> None:
         super().__init__(message)
-        self.bytes = bytes
-        self.of = of
-
-    def __reduce__(self) -> tuple[type[TruncatedError], tuple[str, int, int | None]]:
-        return type(self), (str(self), self.bytes, self.of)
+        self.bytes, self.of = bytes, of
 
 
 class UnsupportedVersionError(Error, ValueError):
