@@ -214,7 +214,7 @@ static void wrong_arguments(ssplat_encoder *encoder)
         case 6: bad.height = UINT32_MAX, bad.width = UINT32_MAX; break;
         }
         ssplat_status status = ssplat_encoder_encode(encoder, &bad, append, &file);
-        CHECK(status == (k == 1 || k == 6 ? SSPLAT_STATUS_BUFFER : SSPLAT_STATUS_PARAMETER));
+        CHECK(status == (k == 1 ? SSPLAT_STATUS_BUFFER : k == 6 ? SSPLAT_STATUS_LIMIT : SSPLAT_STATUS_PARAMETER));
     }
     const double refused[][2] = {{SSPLAT_TARGET_QUALITY, 101}, {SSPLAT_TARGET_RATIO, 0}, {SSPLAT_TARGET_PSNR, INFINITY}};
     for (int k = 0; k < 3; k++) {

@@ -191,7 +191,7 @@ static void views(ssplat_decoder *decoder, const ssplat_info *info)
         {0, 0, 0, 0, 0, 8, {0}},
         {0, 0, 0, 0, UINT32_MAX, 1, {0}},
     };
-    ssplat_view inside = {20, 30, 16, 8, 0, 0, {0}}, huge = {0, 0, 0, 0, 1 << 20, 1 << 20};
+    ssplat_view inside = {20, 30, 16, 8, 0, 0, {0}}, huge = {0, 0, 0, 0, 1 << 20, 1 << 20, {0}};
     inside.reserved[0] = 1;
     CHECK(ssplat_decoder_decode(decoder, &inside, &buffer) == SSPLAT_STATUS_PARAMETER);
     inside.reserved[0] = 0;
