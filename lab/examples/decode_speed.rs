@@ -316,7 +316,9 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 options.size = Some([256, (256 * size.height).div_ceil(size.width)]);
                 drop(ssplat::unstable::decode(&bytes, &options)?);
             }
-            "ssplat, its thumbnail" => drop(ssplat::Reader::new(&bytes, &Limits::default())?.thumbnail([256; 2], Damage::Refuse)?),
+            "ssplat, its thumbnail" => {
+                drop(ssplat::Reader::new(&bytes, &Limits::default())?.thumbnail([256; 2], Damage::Refuse)?)
+            }
             _ => drop(image::load_from_memory(&bytes)?),
         }
         let used = cpu_time(who)? - cpu;
