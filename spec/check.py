@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Runs a decoder over the conformance vectors: python3 check.py [--reduced] [--partial] [COMMAND...]
+"""Runs a decoder over the conformance vectors: python3 check.py [--reduced] [--partial] [--unsupported STATUS] [COMMAND...]
 
 COMMAND is called with two more arguments, a .ssplat file and the picture to write (PAM, or PGM or PPM with raw samples).
 It shall write the picture and exit with 0, or write nothing and exit with another status. With --reduced, it is also asked
 for pictures of other sizes, which decoders need not offer: by `--width W --height H` behind the two; with --partial, for what
 is left of damaged files: by `--partial` behind the two. Without COMMAND, decode.py
-beside this file is checked, with both. `check.py --control` checks the checker: decoders that are wrong on purpose shall fail.
+beside this file is checked, with both. With --unsupported, COMMAND is a decoder of a part of the format: it exits with STATUS for
+files that it does not support, and these are counted as skipped rather than as failures. All others have to be right. `check.py --control` checks the checker: decoders that are wrong on purpose shall fail.
 
 Each vector is a folder with file.ssplat, case.txt (what it shows, its SHA-256, what to expect) and, where a picture is
 expected, picture.pam.
@@ -51,8 +52,12 @@ def worst_of(got, want, top, reduced):
     return off.max()
 
 
-def problem_of(run, case, folder, out):
-    """Returns a description of the decoder's mistake, or None."""
+class Unsupported(Exception):
+    """The decoder says that it does not support the file."""
+
+
+def problem_of(run, case, folder, out, unsupported=None):
+    """Returns a description of the decoder's mistake, or None. Raises Unsupported for an exit status of `unsupported`."""
     width, height = case.get("size", " ").split(" ")
     options = ["--width", width, "--height", height] if width else ["--partial"] if "partial" in case else []
     status = run(folder / "file.ssplat", out, *options)
@@ -60,6 +65,8 @@ def problem_of(run, case, folder, out):
         return f"took more than {SECONDS} s"
     if status < 0 or status >= 128:
         return f"crashed with status {status}"
+    if status == unsupported and not out.exists():
+        raise Unsupported
     if case["expect"] == "error":
         if status == 0:
             return "accepted the file"
@@ -75,11 +82,11 @@ def problem_of(run, case, folder, out):
     return f"differs by {worst:g}" if worst > int(case["tolerance"]) else None
 
 
-def check(run, optional=("reduced", "partial"), show=True):
-    """Runs the vectors. Returns their number and the failures."""
+def check(run, optional=("reduced", "partial"), show=True, unsupported=None):
+    """Runs the vectors. Returns their number, the failures, and those that the decoder does not support."""
     folders = sorted(p.parent for p in (HERE / "vectors").glob("*/*/case.txt"))
     folders = [f for f in folders if f.parent.name in ("valid", "invalid", "limits", *optional)]
-    problems = []
+    problems, skipped = [], []
     with tempfile.TemporaryDirectory() as temporary:
         for folder in folders:
             name = f"{folder.parent.name}/{folder.name}"
@@ -89,12 +96,16 @@ def check(run, optional=("reduced", "partial"), show=True):
             else:
                 out = pathlib.Path(temporary) / "out.pam"
                 out.unlink(missing_ok=True)
-                problem = problem_of(run, case, folder, out)
+                try:
+                    problem = problem_of(run, case, folder, out, unsupported)
+                except Unsupported:
+                    skipped.append(name)
+                    continue
             if problem:
                 problems.append(name)
                 if show:
                     print(f"{name}: {problem} ({case['shows']})")
-    return len(folders), problems
+    return len(folders), problems, skipped
 
 
 def by_command(command):
@@ -177,21 +188,43 @@ def control():
     expected |= {f"leaves out {name}": without(name, put) for name, put in LEFT_OUT.items()}
     unseen = 0
     for name, run in expected.items():
-        count, problems = check(run, show=False)
+        count, problems, _ = check(run, show=False)
         print(f"a decoder that {name}: {len(problems)} of {count} vectors fail")
         unseen += not problems
+
+    def packed_only(status):
+        """A partial decoder, which refuses all layouts but the packed one with `status`."""
+
+        def run(file, out, *options):
+            flags = file.read_bytes()[5:6]
+            return status if flags and flags[0] & 3 else by_decode(file, out, *options)
+
+        return run
+
+    # A partial decoder passes if it says so by the agreed status, and fails if it does so by another.
+    count, problems, skipped = check(packed_only(5), ("reduced",), show=False, unsupported=5)
+    print(f"a decoder of the packed layout: {len(problems)} of {count} vectors fail, {len(skipped)} are skipped")
+    unseen += bool(problems) or not 0 < len(skipped) < count
+    unseen += not check(packed_only(4), ("reduced",), show=False, unsupported=5)[1]
     return unseen
 
 
 def main(arguments):
     if arguments == ["--control"]:
         return 1 if control() else 0
-    command, optional = list(arguments), []
-    while command and command[0] in ("--reduced", "--partial"):
-        optional.append(command.pop(0)[2:])
-    count, problems = check(by_command(command), optional) if command else check(by_decode)
-    print(f"{count - len(problems)} of {count} vectors pass")
-    return 1 if problems or count == 0 else 0
+    command, optional, unsupported = list(arguments), [], None
+    while command and command[0] in ("--reduced", "--partial", "--unsupported"):
+        option = command.pop(0)[2:]
+        if option != "unsupported":
+            optional.append(option)
+        elif command and command[0].isdecimal() and 1 <= int(command[0]) < 128:
+            unsupported = int(command.pop(0))
+        else:
+            sys.exit("check.py: --unsupported needs an exit status, 1 to 127")
+    count, problems, skipped = check(by_command(command), optional, unsupported=unsupported) if command else check(by_decode)
+    passed = count - len(problems) - len(skipped)
+    print(f"{passed} of {count} vectors pass" + (f", {len(skipped)} are not supported" if skipped else ""))
+    return 1 if problems or passed == 0 else 0
 
 
 if __name__ == "__main__":

@@ -123,12 +123,23 @@ pub enum FormatError {
         /// The bytes found.
         found: [u8; 4],
     },
-    /// The file ends before the end of `what`.
+    /// The file ends before the end of `what`. [`Reader`](crate::Reader), [`Decoder`](crate::Decoder) and
+    /// [`SsplatDecoder`](crate::SsplatDecoder) return [`FormatError::CutOff`] instead.
     Truncated {
         /// The part that is truncated.
         what: &'static str,
         /// Length of the file in bytes.
         offset: u64,
+    },
+    /// The file ends too early: it was cut off, or has not arrived completely.
+    #[doc(alias("truncated", "incomplete", "eof"))]
+    CutOff {
+        /// Length of the file in bytes.
+        bytes: u64,
+        /// Length of the whole file in bytes, if the bytes that are present state it.
+        of: Option<u64>,
+        /// Whether [`Damage::Accept`](crate::Damage::Accept) decodes the part of the picture that is present.
+        partial: bool,
     },
     /// The checksum of the file, or of a group, does not match.
     Checksum {
@@ -193,6 +204,10 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Error::Io(e) => write!(f, "input or output failed: {e}"),
+            Error::Format(e @ FormatError::CutOff { partial, .. }) => {
+                let hint = if *partial { "; Damage::Accept decodes what is there" } else { "" };
+                write!(f, "the file is {e}{hint}")
+            }
             Error::Format(e) => write!(f, "not a valid ssplat file: {e}"),
             Error::UnsupportedVersion { found } => write!(f, "format version {found} is not supported"),
             Error::LimitExceeded { limit, requested, allowed } => {
@@ -247,6 +262,8 @@ impl fmt::Display for FormatError {
         match self {
             FormatError::BadMagic { found } => write!(f, "bad magic {found:02x?}"),
             FormatError::Truncated { what, offset } => write!(f, "{what} is cut off at byte {offset}"),
+            FormatError::CutOff { bytes, of: Some(of), .. } => write!(f, "cut off after {bytes} of {of} bytes"),
+            FormatError::CutOff { bytes, of: None, .. } => write!(f, "cut off after {bytes} bytes"),
             FormatError::Checksum { what, stored, computed } => {
                 write!(f, "checksum of {what} is {stored:08x} but the bytes give {computed:08x}")
             }

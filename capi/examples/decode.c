@@ -10,7 +10,7 @@
 static int on_progress(void *user, float done)
 {
     (void)user;
-    fprintf(stderr, "\r%3.0f %%", 100 * done);
+    fprintf(stderr, "\r%3.0f %%%s", 100 * done, done == 1 ? "\n" : "");
     return 0;
 }
 
@@ -18,7 +18,7 @@ static int failed(const ssplat_decoder *decoder, ssplat_status status)
 {
     char message[512];
     ssplat_decoder_message(decoder, message, sizeof message);
-    fprintf(stderr, "%s: %s\n", ssplat_status_name(status), message);
+    fprintf(stderr, "\n%s: %s\n", ssplat_status_name(status), message);
     return 1;
 }
 
@@ -47,8 +47,8 @@ int main(int argc, char **argv)
     ssplat_decoder *decoder = ssplat_decoder_new();
     if (!decoder)
         return 1;
-    ssplat_buffer buffer = {NULL, 0, 0, SSPLAT_FORMAT_RGBA8};
-    ssplat_info info;
+    ssplat_buffer buffer = {.format = SSPLAT_FORMAT_RGBA8};
+    ssplat_info info = {0};
     int result = 1;
 
     ssplat_status status = ssplat_decoder_open_file(decoder, argv[1]);

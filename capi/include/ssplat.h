@@ -1,12 +1,16 @@
 /*
- * ssplat.h: decodes .ssplat pictures. License: MIT OR Apache-2.0.
+ * ssplat.h: decodes and encodes .ssplat pictures. License: MIT OR Apache-2.0.
  *
- * A decoder holds one file, the limits and the text of the last error. Every function that returns ssplat_status
- * returns SSPLAT_STATUS_OK or the kind of the error; ssplat_decoder_message() then says what was wrong. A pointer
- * that must not be NULL and is NULL gives SSPLAT_STATUS_PARAMETER. Sizes are checked before anything is written.
+ * A decoder holds one file, the limits and the text of the last error; an encoder holds its options and the text of
+ * the last error. Every function that returns ssplat_status returns SSPLAT_STATUS_OK or the kind of the error;
+ * ssplat_decoder_message() or ssplat_encoder_message() then says what was wrong. A pointer that must not be NULL and is
+ * NULL gives SSPLAT_STATUS_PARAMETER. Sizes are checked before anything is written.
  *
- * Different decoders can be used by different threads at the same time. A decoder serves one call at a time: a second
- * call from another thread or from a callback returns SSPLAT_STATUS_BUSY and does nothing.
+ * Different decoders and encoders can be used by different threads at the same time. Each serves one call at a time: a
+ * second call from another thread or from a callback returns SSPLAT_STATUS_BUSY and does nothing.
+ *
+ * Fields named "reserved" must be zeros when a struct is passed to the library: start from {0} or from designated
+ * initializers. Later versions may give them a meaning whose default is 0.
  */
 
 #ifndef SSPLAT_H
@@ -18,6 +22,21 @@
 #include <stdint.h>
 
 /**
+ * Version of this header; ssplat_version() is that of the library.
+ */
+#define SSPLAT_VERSION_MAJOR 1
+
+/**
+ * Version of this header.
+ */
+#define SSPLAT_VERSION_MINOR 0
+
+/**
+ * Version of this header.
+ */
+#define SSPLAT_VERSION_PATCH 0
+
+/**
  * Result of a call. Later versions may add kinds.
  */
 typedef enum ssplat_status {
@@ -26,7 +45,7 @@ typedef enum ssplat_status {
    */
   SSPLAT_STATUS_OK = 0,
   /**
-   * A file could not be read.
+   * A file could not be read, or a callback could not read or write.
    */
   SSPLAT_STATUS_IO = 1,
   /**
@@ -62,13 +81,22 @@ typedef enum ssplat_status {
    */
   SSPLAT_STATUS_CLOSED = 9,
   /**
-   * Another call is using the decoder.
+   * Another call is using the decoder or the encoder.
    */
   SSPLAT_STATUS_BUSY = 10,
   /**
-   * The library failed; this is a bug. The file was closed.
+   * The library failed; this is a bug. A decoder's file was closed.
    */
   SSPLAT_STATUS_INTERNAL = 11,
+  /**
+   * A file of the size that was asked for cannot hold the picture.
+   */
+  SSPLAT_STATUS_SIZE = 12,
+  /**
+   * The file ends before its end: ssplat_decoder_set_partial() draws what is there, and a file whose bytes arrive by
+   * ssplat_decoder_append() may not be complete yet.
+   */
+  SSPLAT_STATUS_TRUNCATED = 13,
 } ssplat_status;
 
 /**
@@ -110,18 +138,51 @@ typedef enum ssplat_limit {
 } ssplat_limit;
 
 /**
- * Formats of pixels: red, green, blue and alpha, which is not premultiplied. Grey pictures have three equal colours,
- * and pictures without alpha are opaque.
+ * Formats of pixels. Samples of 16 bits are uint16_t in the byte order of the machine and need not be aligned. Alpha is
+ * not premultiplied, except in SSPLAT_FORMAT_BGRA8_PREMULTIPLIED.
+ *
+ * When decoding, the formats with alpha take any picture: those without alpha are opaque. The formats with red, green
+ * and blue take grey pictures too, with three equal colours. A format without alpha is refused for pictures with
+ * alpha, and a grey format for those with colours.
  */
 typedef enum ssplat_format {
   /**
-   * Four bytes a pixel.
+   * Red, green, blue, alpha; four bytes a pixel.
    */
   SSPLAT_FORMAT_RGBA8 = 0,
   /**
-   * Four uint16_t a pixel, in the byte order of the machine; the data need not be aligned.
+   * Red, green, blue, alpha; four samples of 16 bits a pixel.
    */
   SSPLAT_FORMAT_RGBA16 = 1,
+  /**
+   * Red, green, blue; three bytes a pixel.
+   */
+  SSPLAT_FORMAT_RGB8 = 2,
+  /**
+   * Red, green, blue; three samples of 16 bits a pixel.
+   */
+  SSPLAT_FORMAT_RGB16 = 3,
+  /**
+   * One byte a pixel.
+   */
+  SSPLAT_FORMAT_GREY8 = 4,
+  /**
+   * One sample of 16 bits a pixel.
+   */
+  SSPLAT_FORMAT_GREY16 = 5,
+  /**
+   * Grey, alpha; two bytes a pixel.
+   */
+  SSPLAT_FORMAT_GREY_ALPHA8 = 6,
+  /**
+   * Grey, alpha; two samples of 16 bits a pixel.
+   */
+  SSPLAT_FORMAT_GREY_ALPHA16 = 7,
+  /**
+   * Blue, green, red, alpha; four bytes a pixel, with the colours multiplied by alpha. The format of Cairo, Qt, Skia
+   * and Direct2D on machines with little-endian numbers.
+   */
+  SSPLAT_FORMAT_BGRA8_PREMULTIPLIED = 8,
 } ssplat_format;
 
 /**
@@ -143,9 +204,118 @@ typedef enum ssplat_metadata {
 } ssplat_metadata;
 
 /**
+ * Targets of an encode, for ssplat_encoder_set_target(). The last one that is set counts.
+ */
+typedef enum ssplat_target {
+  /**
+   * Perceptual quality: the SSIMULACRA2 score, 0 to 100; 30 is low, 50 medium, 70 high and 90 very high. The default
+   * is 70.
+   */
+  SSPLAT_TARGET_QUALITY = 0,
+  /**
+   * Width * height * channels of the picture, divided by the bytes of the file.
+   */
+  SSPLAT_TARGET_RATIO = 1,
+  /**
+   * Most bytes of the file.
+   */
+  SSPLAT_TARGET_BYTES = 2,
+  /**
+   * PSNR in dB.
+   */
+  SSPLAT_TARGET_PSNR = 3,
+  /**
+   * The samples of the picture themselves; the value is ignored. Colours under alpha 0 become black unless
+   * SSPLAT_OPTION_KEEP_HIDDEN is set.
+   */
+  SSPLAT_TARGET_LOSSLESS = 4,
+  /**
+   * Number of Gaussians, without a detail layer.
+   */
+  SSPLAT_TARGET_GAUSSIANS = 5,
+} ssplat_target;
+
+/**
+ * Options of an encoder, for ssplat_encoder_set_option().
+ */
+typedef enum ssplat_option {
+  /**
+   * Amount of work, 1 to 9; the default is 5. Each step takes up to twice as long as the one before.
+   */
+  SSPLAT_OPTION_EFFORT = 0,
+  /**
+   * Threads, 1 to 256; 0, the default, is one per core. The file does not depend on it.
+   */
+  SSPLAT_OPTION_THREADS = 1,
+  /**
+   * Most milliseconds of the encode; 0, the default, sets no limit. If the time is short for the effort, the effort
+   * is lowered.
+   */
+  SSPLAT_OPTION_MILLISECONDS = 2,
+  /**
+   * 1 keeps the colours of pixels of alpha 0; 0, the default, replaces them, because no viewer shows them.
+   */
+  SSPLAT_OPTION_KEEP_HIDDEN = 3,
+  /**
+   * A value of ssplat_tune.
+   */
+  SSPLAT_OPTION_TUNE = 4,
+  /**
+   * 0 leaves out the detail layer, so that the file has Gaussians alone; the default is 1.
+   */
+  SSPLAT_OPTION_DETAIL = 5,
+  /**
+   * Progressive levels, 1 to 8; the default is 1. A file that is cut off after a level shows a coarser picture.
+   */
+  SSPLAT_OPTION_LEVELS = 6,
+  /**
+   * Most bytes of a thumbnail in the file: 0 for none, -1, the default, for one of at most 4000 bytes in files of at
+   * least 100 000 bytes.
+   */
+  SSPLAT_OPTION_THUMBNAIL = 7,
+  /**
+   * Side of the tiles in which the picture is fitted, in pixels: a multiple of 128 up to 16384. 0, the default, is
+   * tiles of 2048 for pictures of more than 33 megapixels.
+   */
+  SSPLAT_OPTION_TILES = 8,
+  /**
+   * Seed of the random numbers; the default is 0. Equal seeds give equal bytes.
+   */
+  SSPLAT_OPTION_SEED = 9,
+} ssplat_option;
+
+/**
+ * Measures that the encoder optimizes, for SSPLAT_OPTION_TUNE.
+ */
+typedef enum ssplat_tune {
+  /**
+   * SSPLAT_TUNE_IQ, or SSPLAT_TUNE_PSNR if the target is a PSNR.
+   */
+  SSPLAT_TUNE_AUTO = 0,
+  /**
+   * Perceived quality from some distance.
+   */
+  SSPLAT_TUNE_IQ = 1,
+  /**
+   * Structural similarity.
+   */
+  SSPLAT_TUNE_SSIM = 2,
+  /**
+   * Squared error.
+   */
+  SSPLAT_TUNE_PSNR = 3,
+} ssplat_tune;
+
+/**
  * A decoder. ssplat_decoder_new() makes one, ssplat_decoder_free() frees it.
  */
 typedef struct ssplat_decoder ssplat_decoder;
+
+/**
+ * An encoder: options, and the text of the last error. ssplat_encoder_new() makes one, ssplat_encoder_free() frees it.
+ * It can encode any number of pictures.
+ */
+typedef struct ssplat_encoder ssplat_encoder;
 
 /**
  * Called by the thread that decodes, with the share that is done, 0 to 1, several times a second for pictures of any
@@ -153,6 +323,12 @@ typedef struct ssplat_decoder ssplat_decoder;
  * no exception of C++.
  */
 typedef int (*ssplat_callback)(void *user, float done);
+
+/**
+ * Reads the next bytes of a file to buffer, at most capacity, and returns their number: 0 only at the end of the file,
+ * and a negative number if reading fails. It must return: no longjmp and no exception of C++.
+ */
+typedef int64_t (*ssplat_read)(void *user, void *buffer, size_t capacity);
 
 /**
  * Facts about a file.
@@ -189,6 +365,34 @@ typedef struct ssplat_info {
 } ssplat_info;
 
 /**
+ * Parts of a file that could not be read, with ssplat_decoder_set_partial().
+ */
+typedef struct ssplat_missing {
+  /**
+   * Gaussians.
+   */
+  uint32_t gaussians;
+  /**
+   * Groups of Gaussians, and how many the file should have; 0 of 0 if the file is not divided into groups.
+   */
+  uint32_t groups;
+  uint32_t of_groups;
+  /**
+   * Tiles of the layers, and how many the file should have; 0 of 0 without layers.
+   */
+  uint32_t tiles;
+  uint32_t of_tiles;
+  /**
+   * 1 if the file is cut off or its checksum is wrong.
+   */
+  uint32_t damaged;
+  /**
+   * Zeros.
+   */
+  uint32_t reserved[10];
+} ssplat_missing;
+
+/**
  * The part of the picture to draw, and the size to draw it in. All zeros: the whole picture in its own size.
  */
 typedef struct ssplat_view {
@@ -216,6 +420,10 @@ typedef struct ssplat_view {
    * Height of the output, in pixels.
    */
   uint32_t out_height;
+  /**
+   * Zeros.
+   */
+  uint32_t reserved[6];
 } ssplat_view;
 
 /**
@@ -238,7 +446,93 @@ typedef struct ssplat_buffer {
    * A value of ssplat_format.
    */
   int format;
+  /**
+   * Zeros.
+   */
+  uint32_t reserved[5];
 } ssplat_buffer;
+
+/**
+ * Called by the thread that called ssplat_encoder_encode(), a few hundred times during an encode, with the name of a
+ * stage, such as "fit", and the share of the stage that is done, 0 to 1. The name is valid during the call. The encode
+ * stops soon after the function has returned anything but 0. It must return: no longjmp and no exception of C++.
+ */
+typedef int (*ssplat_progress)(void *user, const char *stage, float done);
+
+/**
+ * Pixels of the caller, for ssplat_encoder_encode().
+ */
+typedef struct ssplat_pixels {
+  /**
+   * First byte of the first row.
+   */
+  const void *data;
+  /**
+   * Bytes that may be read from there on.
+   */
+  size_t size;
+  /**
+   * Bytes from the start of a row to the start of the next; 0 if rows follow each other without a gap.
+   */
+  size_t stride;
+  /**
+   * Width of the picture, pixels.
+   */
+  uint32_t width;
+  /**
+   * Height of the picture, pixels.
+   */
+  uint32_t height;
+  /**
+   * A value of ssplat_format, which says which channels the file has. Of colours that were multiplied by alpha, those
+   * of pixels with little alpha have lost precision.
+   */
+  int format;
+  /**
+   * Zeros.
+   */
+  uint32_t reserved[5];
+} ssplat_pixels;
+
+/**
+ * Takes the next bytes of a file, in one or more calls from its start on. Anything but 0 stops with SSPLAT_STATUS_IO. It
+ * must return: no longjmp and no exception of C++.
+ */
+typedef int (*ssplat_write)(void *user, const void *data, size_t size);
+
+/**
+ * What the last ssplat_encoder_encode() has made.
+ */
+typedef struct ssplat_report {
+  /**
+   * Bytes of the file.
+   */
+  uint64_t bytes;
+  /**
+   * PSNR in dB of the decoded picture before it is rounded to samples; infinite if it is the same.
+   */
+  double psnr;
+  /**
+   * SSIMULACRA2 score, if the target is a quality; NaN if it was not measured.
+   */
+  double quality;
+  /**
+   * Wall-clock time.
+   */
+  double seconds;
+  /**
+   * Number of Gaussians.
+   */
+  uint32_t gaussians;
+  /**
+   * The effort, which a time limit may have lowered; 0 if the picture was stored without a fit.
+   */
+  uint32_t effort;
+  /**
+   * Zeros.
+   */
+  uint32_t reserved[8];
+} ssplat_report;
 
 #ifdef __cplusplus
 extern "C" {
@@ -306,6 +600,29 @@ enum ssplat_status ssplat_decoder_open_memory(struct ssplat_decoder *decoder,
                                               size_t size);
 
 /**
+ * Opens the file that read hands out, to its end, and keeps it in memory. Closes the file that was open.
+ */
+enum ssplat_status ssplat_decoder_open_callback(struct ssplat_decoder *decoder, ssplat_read read, void *user);
+
+/**
+ * Begins a file whose bytes arrive by ssplat_decoder_append(). Closes the file that was open.
+ */
+enum ssplat_status ssplat_decoder_begin(struct ssplat_decoder *decoder);
+
+/**
+ * Adds size bytes at data to the end of the file that ssplat_decoder_begin() or another function has opened. The bytes
+ * are copied. Returns SSPLAT_STATUS_FORMAT, SSPLAT_STATUS_VERSION or SSPLAT_STATUS_LIMIT as soon as the header shows
+ * that no further bytes make a file of them, and closes it.
+ *
+ * Between two calls, every other function works with the bytes that have arrived. ssplat_decoder_info() and
+ * ssplat_decoder_metadata() need the start of the file. After ssplat_decoder_set_partial(), ssplat_decoder_decode()
+ * draws the parts that are there; SSPLAT_STATUS_TRUNCATED means that nothing can be drawn yet.
+ */
+enum ssplat_status ssplat_decoder_append(struct ssplat_decoder *decoder,
+                                         const void *data,
+                                         size_t size);
+
+/**
  * Opens the file at path, which ends with a zero and is UTF-8 on Windows, and reads it to memory. Closes the file
  * that was open.
  */
@@ -334,6 +651,13 @@ enum ssplat_status ssplat_decoder_metadata(struct ssplat_decoder *decoder,
                                            size_t *length);
 
 /**
+ * Writes to *missing what the last ssplat_decoder_decode() or ssplat_decoder_preload() did not find in the file. All is 0
+ * before, and for files that are whole.
+ */
+enum ssplat_status ssplat_decoder_missing(struct ssplat_decoder *decoder,
+                                          struct ssplat_missing *missing);
+
+/**
  * Reads the whole file, so that decoding several views of it need not read it for each. Decoding one view does not need
  * this; for a small part of a large file it is faster without.
  */
@@ -341,7 +665,7 @@ enum ssplat_status ssplat_decoder_preload(struct ssplat_decoder *decoder);
 
 /**
  * Decodes view into buffer; view NULL is the whole picture in its own size. Rows come from the top, each of
- * out_width * 4 samples; bytes between rows are not touched. A larger output samples the continuous picture, a smaller
+ * out_width pixels; bytes between rows are not touched. A larger output samples the continuous picture, a smaller
  * one is low-passed. After an error the buffer's contents are unspecified.
  */
 enum ssplat_status ssplat_decoder_decode(struct ssplat_decoder *decoder,
@@ -359,6 +683,252 @@ enum ssplat_status ssplat_decoder_thumbnail(struct ssplat_decoder *decoder,
                                             const struct ssplat_buffer *buffer,
                                             uint32_t *width,
                                             uint32_t *height);
+
+/**
+ * Returns an encoder with the default options, or NULL if memory runs out.
+ */
+struct ssplat_encoder *ssplat_encoder_new(void);
+
+/**
+ * Frees the encoder that *encoder points to, and sets *encoder to NULL, with the rules of ssplat_decoder_free().
+ */
+enum ssplat_status ssplat_encoder_free(struct ssplat_encoder **encoder);
+
+/**
+ * Copies the message of the last call that failed, as ssplat_decoder_message() does.
+ */
+size_t ssplat_encoder_message(const struct ssplat_encoder *encoder, char *buffer, size_t capacity);
+
+/**
+ * Sets the target, a value of ssplat_target, and its value. Values out of range are refused by
+ * ssplat_encoder_encode().
+ */
+enum ssplat_status ssplat_encoder_set_target(struct ssplat_encoder *encoder, int target, double value);
+
+/**
+ * Sets an option, a value of ssplat_option.
+ */
+enum ssplat_status ssplat_encoder_set_option(struct ssplat_encoder *encoder, int option, int64_t value);
+
+/**
+ * Sets the ICC profile (SSPLAT_METADATA_ICC) or the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) of the
+ * files that follow. The bytes are copied; size 0 takes them away. They count as bytes of the file. Files hold no XMP.
+ */
+enum ssplat_status ssplat_encoder_set_metadata(struct ssplat_encoder *encoder,
+                                               int which,
+                                               const void *data,
+                                               size_t size);
+
+/**
+ * Sets the function that ssplat_encoder_encode() calls with user; NULL for none.
+ */
+enum ssplat_status ssplat_encoder_set_callback(struct ssplat_encoder *encoder,
+                                               ssplat_progress callback,
+                                               void *user);
+
+/**
+ * Encodes pixels, which are copied, and passes the file to write with user. Nothing is written if the encode fails.
+ */
+enum ssplat_status ssplat_encoder_encode(struct ssplat_encoder *encoder,
+                                         const struct ssplat_pixels *pixels,
+                                         ssplat_write write,
+                                         void *user);
+
+/**
+ * Writes to *report what the last successful ssplat_encoder_encode() has made; SSPLAT_STATUS_CLOSED before.
+ */
+enum ssplat_status ssplat_encoder_report(struct ssplat_encoder *encoder, struct ssplat_report *report);
+
+/**
+ * Returns a decoder with the default limits and no file, or NULL if memory runs out.
+ */
+struct ssplat_decoder *ssplat_decoder_new(void);
+
+/**
+ * Frees the decoder that *decoder points to, and sets *decoder to NULL, so that freeing it again does nothing.
+ * Does nothing if decoder or *decoder is NULL. A decoder that is in use, as in its own callback, is not freed and
+ * *decoder is kept; the result is SSPLAT_STATUS_BUSY.
+ */
+enum ssplat_status ssplat_decoder_free(struct ssplat_decoder **decoder);
+
+/**
+ * Copies the message of the last call that failed into buffer, up to capacity - 1 bytes and a zero at the end, and
+ * returns the length of the whole message in bytes, without the zero. The text is UTF-8 and empty if the last call
+ * succeeded. buffer may be NULL if capacity is 0.
+ */
+size_t ssplat_decoder_message(const struct ssplat_decoder *decoder,
+                              char *buffer,
+                              size_t capacity);
+
+/**
+ * Returns the default of a limit, a value of ssplat_limit; 0 for other numbers.
+ */
+uint64_t ssplat_limit_default(int limit);
+
+/**
+ * Sets a limit, a value of ssplat_limit, for the calls that follow.
+ */
+enum ssplat_status ssplat_decoder_set_limit(struct ssplat_decoder *decoder, int limit, uint64_t value);
+
+/**
+ * Sets whether what is left of truncated and damaged files is drawn; 0, the default, refuses them.
+ */
+enum ssplat_status ssplat_decoder_set_partial(struct ssplat_decoder *decoder, int partial);
+
+/**
+ * Sets the function that ssplat_decoder_decode() calls with user; NULL for none.
+ */
+enum ssplat_status ssplat_decoder_set_callback(struct ssplat_decoder *decoder,
+                                               ssplat_callback callback,
+                                               void *user);
+
+/**
+ * Opens the file of size bytes at data, which is copied, and reads its header. Closes the file that was open. The first
+ * part of a file is enough for ssplat_decoder_info().
+ */
+enum ssplat_status ssplat_decoder_open_memory(struct ssplat_decoder *decoder,
+                                              const void *data,
+                                              size_t size);
+
+/**
+ * Opens the file that read hands out, to its end, and keeps it in memory. Closes the file that was open.
+ */
+enum ssplat_status ssplat_decoder_open_callback(struct ssplat_decoder *decoder, ssplat_read read, void *user);
+
+/**
+ * Begins a file whose bytes arrive by ssplat_decoder_append(). Closes the file that was open.
+ */
+enum ssplat_status ssplat_decoder_begin(struct ssplat_decoder *decoder);
+
+/**
+ * Adds size bytes at data to the end of the file that ssplat_decoder_begin() or another function has opened. The bytes
+ * are copied. Returns SSPLAT_STATUS_FORMAT, SSPLAT_STATUS_VERSION or SSPLAT_STATUS_LIMIT as soon as the header shows
+ * that no further bytes make a file of them, and closes it.
+ *
+ * Between two calls, every other function works with the bytes that have arrived. ssplat_decoder_info() and
+ * ssplat_decoder_metadata() need the start of the file. After ssplat_decoder_set_partial(), ssplat_decoder_decode()
+ * draws the parts that are there; SSPLAT_STATUS_TRUNCATED means that nothing can be drawn yet.
+ */
+enum ssplat_status ssplat_decoder_append(struct ssplat_decoder *decoder,
+                                         const void *data,
+                                         size_t size);
+
+/**
+ * Opens the file at path, which ends with a zero and is UTF-8 on Windows, and reads it to memory. Closes the file
+ * that was open.
+ */
+enum ssplat_status ssplat_decoder_open_file(struct ssplat_decoder *decoder,
+                                            const char *path);
+
+/**
+ * Closes the file, if one is open, and frees its memory.
+ */
+enum ssplat_status ssplat_decoder_close(struct ssplat_decoder *decoder);
+
+/**
+ * Writes facts about the file to *info.
+ */
+enum ssplat_status ssplat_decoder_info(struct ssplat_decoder *decoder, struct ssplat_info *info);
+
+/**
+ * Copies metadata, a value of ssplat_metadata, to buffer, and its length in bytes to *length; 0 if the file has none.
+ * If that is more than capacity, nothing is copied and the result is SSPLAT_STATUS_BUFFER. With buffer NULL and
+ * capacity 0 only the length is told, with SSPLAT_STATUS_OK.
+ */
+enum ssplat_status ssplat_decoder_metadata(struct ssplat_decoder *decoder,
+                                           int which,
+                                           void *buffer,
+                                           size_t capacity,
+                                           size_t *length);
+
+/**
+ * Writes to *missing what the last ssplat_decoder_decode() or ssplat_decoder_preload() did not find in the file. All is 0
+ * before, and for files that are whole.
+ */
+enum ssplat_status ssplat_decoder_missing(struct ssplat_decoder *decoder,
+                                          struct ssplat_missing *missing);
+
+/**
+ * Reads the whole file, so that decoding several views of it need not read it for each. Decoding one view does not need
+ * this; for a small part of a large file it is faster without.
+ */
+enum ssplat_status ssplat_decoder_preload(struct ssplat_decoder *decoder);
+
+/**
+ * Decodes view into buffer; view NULL is the whole picture in its own size. Rows come from the top, each of
+ * out_width pixels; bytes between rows are not touched. A larger output samples the continuous picture, a smaller
+ * one is low-passed. After an error the buffer's contents are unspecified.
+ */
+enum ssplat_status ssplat_decoder_decode(struct ssplat_decoder *decoder,
+                                         const struct ssplat_view *view,
+                                         const struct ssplat_buffer *buffer);
+
+/**
+ * Decodes the picture as large as it fits into max_width * max_height with its aspect ratio kept, and never larger than
+ * it is, from the file's own thumbnail where that is large enough, which is fast. The size goes to *width and *height,
+ * even if the buffer is too small. With buffer NULL only the size is told. The callback is not called.
+ */
+enum ssplat_status ssplat_decoder_thumbnail(struct ssplat_decoder *decoder,
+                                            uint32_t max_width,
+                                            uint32_t max_height,
+                                            const struct ssplat_buffer *buffer,
+                                            uint32_t *width,
+                                            uint32_t *height);
+
+/**
+ * Returns an encoder with the default options, or NULL if memory runs out.
+ */
+struct ssplat_encoder *ssplat_encoder_new(void);
+
+/**
+ * Frees the encoder that *encoder points to, and sets *encoder to NULL, with the rules of ssplat_decoder_free().
+ */
+enum ssplat_status ssplat_encoder_free(struct ssplat_encoder **encoder);
+
+/**
+ * Copies the message of the last call that failed, as ssplat_decoder_message() does.
+ */
+size_t ssplat_encoder_message(const struct ssplat_encoder *encoder, char *buffer, size_t capacity);
+
+/**
+ * Sets the target, a value of ssplat_target, and its value. Values out of range are refused by
+ * ssplat_encoder_encode().
+ */
+enum ssplat_status ssplat_encoder_set_target(struct ssplat_encoder *encoder, int target, double value);
+
+/**
+ * Sets an option, a value of ssplat_option.
+ */
+enum ssplat_status ssplat_encoder_set_option(struct ssplat_encoder *encoder, int option, int64_t value);
+
+/**
+ * Sets the ICC profile (SSPLAT_METADATA_ICC) or the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) of the
+ * files that follow. The bytes are copied; size 0 takes them away. They count as bytes of the file. Files hold no XMP.
+ */
+enum ssplat_status ssplat_encoder_set_metadata(struct ssplat_encoder *encoder,
+                                               int which,
+                                               const void *data,
+                                               size_t size);
+
+/**
+ * Sets the function that ssplat_encoder_encode() calls with user; NULL for none.
+ */
+enum ssplat_status ssplat_encoder_set_callback(struct ssplat_encoder *encoder,
+                                               ssplat_progress callback,
+                                               void *user);
+
+/**
+ * Encodes pixels, which are copied, and passes the file to write with user. Nothing is written if the encode fails.
+ */
+enum ssplat_status ssplat_encoder_encode(struct ssplat_encoder *encoder,
+                                         const struct ssplat_pixels *pixels,
+                                         ssplat_write write,
+                                         void *user);
+
+/**
+ * Writes to *report what the last successful ssplat_encoder_encode() has made; SSPLAT_STATUS_CLOSED before.
+ */
+enum ssplat_status ssplat_encoder_report(struct ssplat_encoder *encoder, struct ssplat_report *report);
 
 #ifdef __cplusplus
 }  // extern "C"

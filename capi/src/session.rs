@@ -1,18 +1,25 @@
-//! A decoder's state, and decoding to rows of RGBA; safe code only.
+//! A decoder's state, and decoding to rows of pixels; safe code only.
 
+use std::fmt::Display;
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
 use image::metadata::Orientation;
 use ssplat::{
-    Channels, Damage, Depth, Limit, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
+    Channels, Damage, Depth, FormatError, Limit, Limits, Metadata, MissingParts, Reader, Rect, Renderer, Samples,
+    SplatImage, View,
 };
 
 use crate::failure::{Failure, Outcome, ssplat_status};
+use crate::format::{Sample, ssplat_format};
 
 /// The first bytes of every file.
 const MAGIC: &[u8; 4] = b"\x89SSP";
+
+/// Bytes of a file that are read at once.
+const SMALLEST_READ: usize = 1 << 14;
+const LARGEST_READ: usize = 1 << 24;
 
 /// Output pixels that are rendered between two looks at the callback, unless a band has more.
 const PIXELS_AT_ONCE: u64 = 1 << 20;
@@ -50,6 +57,7 @@ pub struct Session {
     bytes: Option<Vec<u8>>,
     /// The whole picture, once it has been preloaded.
     image: Option<SplatImage>,
+    missing: MissingParts,
 }
 
 impl Session {
@@ -65,25 +73,70 @@ impl Session {
     /// Opens the file at `path`, which may have no more bytes than decoding may allocate.
     pub fn open_path(&mut self, path: &Path) -> Outcome<()> {
         self.close();
-        let failed = |e: std::io::Error| match e.kind() {
-            std::io::ErrorKind::OutOfMemory => Failure::new(ssplat_status::Memory, e),
-            _ => Failure::new(ssplat_status::Io, format_args!("{}: {e}", path.display())),
-        };
-        let allowed = self.limits.alloc;
-        let mut bytes = Vec::new();
-        let mut file = File::open(path).map_err(failed)?;
-        // Of other files, which may be endless, only the start is read.
-        file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
-        if !bytes.starts_with(MAGIC) {
-            return self.hold(bytes);
+        let name = path.display();
+        let mut file = File::open(path).map_err(|e| failed(&name, e))?;
+        self.open_source(&name, |room| {
+            loop {
+                match file.read(room) {
+                    Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                    done => return done,
+                }
+            }
+        })
+    }
+
+    /// Opens the file that `read` hands out in pieces; `name` is its name in messages.
+    pub fn open_source(
+        &mut self,
+        name: &dyn Display,
+        mut read: impl FnMut(&mut [u8]) -> std::io::Result<usize>,
+    ) -> Outcome<()> {
+        self.close();
+        let (allowed, mut bytes) = (self.limits.alloc.max(MAGIC.len() as u64), Vec::new());
+        loop {
+            let start = bytes.len();
+            // Of other files, which may be endless, only the start is read.
+            let step = if start < MAGIC.len() { MAGIC.len() - start } else { start.clamp(SMALLEST_READ, LARGEST_READ) };
+            let step = step.min((allowed - start as u64).saturating_add(1).try_into().unwrap_or(usize::MAX));
+            grow(&mut bytes, step)?;
+            bytes.resize(start + step, 0);
+            let count = read(&mut bytes[start..]).map_err(|e| failed(name, e))?;
+            bytes.truncate(start + count);
+            if bytes.len() as u64 > allowed {
+                let message = format!("{name}: the file has more than the {allowed} bytes of the limit alloc");
+                return Err(Failure::new(ssplat_status::Limit, message));
+            }
+            if count == 0 || bytes.len() >= MAGIC.len() && !bytes.starts_with(MAGIC) {
+                return self.hold(bytes);
+            }
         }
-        let allowed = allowed.max(bytes.len() as u64);
-        file.take((allowed - bytes.len() as u64).saturating_add(1)).read_to_end(&mut bytes).map_err(failed)?;
-        if bytes.len() as u64 > allowed {
-            let message = format!("{}: the file has more than the {allowed} bytes of the limit alloc", path.display());
-            return Err(Failure::new(ssplat_status::Limit, message));
+    }
+
+    /// Opens a file without bytes, for [`append`](Session::append).
+    pub fn begin(&mut self) {
+        self.close();
+        self.bytes = Some(Vec::new());
+    }
+
+    /// Adds bytes to the end of the file. It is closed if they cannot be the start of a file.
+    pub fn append(&mut self, more: &[u8]) -> Outcome<()> {
+        let Some(bytes) = &mut self.bytes else { return Err(closed()) };
+        let total = bytes.len() as u64 + more.len() as u64;
+        if total > self.limits.alloc {
+            let (limit, requested, allowed) = (Limit::Alloc, total, self.limits.alloc);
+            self.close();
+            return Err(ssplat::Error::LimitExceeded { limit, requested, allowed }.into());
         }
-        self.hold(bytes)
+        grow(bytes, more.len())?;
+        bytes.extend_from_slice(more);
+        (self.image, self.missing) = (None, MissingParts::default());
+        match Reader::new(bytes, &self.limits) {
+            Ok(_) | Err(ssplat::Error::Format(FormatError::CutOff { .. })) => Ok(()),
+            Err(error) => {
+                self.close();
+                Err(error.into())
+            }
+        }
     }
 
     fn hold(&mut self, bytes: Vec<u8>) -> Outcome<()> {
@@ -94,11 +147,11 @@ impl Session {
 
     /// Closes the file.
     pub fn close(&mut self) {
-        (self.bytes, self.image) = (None, None);
+        (self.bytes, self.image, self.missing) = (None, None, MissingParts::default());
     }
 
     fn bytes(&self) -> Outcome<&[u8]> {
-        self.bytes.as_deref().ok_or_else(|| Failure::new(ssplat_status::Closed, "no file has been opened"))
+        self.bytes.as_deref().ok_or_else(closed)
     }
 
     fn reader(&self) -> Outcome<Reader<'_>> {
@@ -119,6 +172,11 @@ impl Session {
         })
     }
 
+    /// What the last picture lacks.
+    pub fn missing(&self) -> Outcome<MissingParts> {
+        self.bytes().map(|_| self.missing)
+    }
+
     pub fn metadata(&self) -> Outcome<Metadata> {
         Ok(self.reader()?.metadata()?)
     }
@@ -126,7 +184,9 @@ impl Session {
     /// Reads the whole picture, so that drawing any part of it need not read the file.
     pub fn preload(&mut self) -> Outcome<()> {
         self.image = None;
-        self.image = Some(self.reader()?.read(self.damage)?);
+        let image = self.reader()?.read(self.damage)?;
+        self.missing = image.missing();
+        self.image = Some(image);
         Ok(())
     }
 
@@ -143,11 +203,12 @@ impl Session {
         })
     }
 
-    /// Draws `view` as RGBA of `depth`, in the byte order of the machine.
-    pub fn draw(&mut self, view: &View, depth: Depth, watch: Watch<'_>, sink: Sink<'_>) -> Outcome<()> {
+    /// Draws `view` in `format`.
+    pub fn draw(&mut self, view: &View, format: ssplat_format, watch: Watch<'_>, sink: Sink<'_>) -> Outcome<()> {
         go_on(watch, 0.0)?;
         let group = (PIXELS_AT_ONCE / (BAND_ROWS * u64::from(view.width()))).max(1) as u32;
-        let channels = self.reader()?.channels();
+        let (channels, depth) = (self.reader()?.channels(), format.depth());
+        format.check(channels)?;
         let rows = (u64::from(group) * BAND_ROWS).min(u64::from(view.height()));
         let scratch = rows * u64::from(view.width()) * (channels.count() * depth.bytes()) as u64;
         let allowed = self.limits.alloc;
@@ -163,12 +224,13 @@ impl Session {
             let mut image = self.reader()?.read_for(view, self.damage)?;
             go_on(watch, 0.0)?;
             image.limit_alloc(left)?;
+            self.missing = image.missing();
             image.renderer(view)?
         };
         go_on(watch, 0.0)?;
         match depth {
-            Depth::Eight => bands::<u8>(&renderer, group, watch, sink),
-            Depth::Sixteen => bands::<u16>(&renderer, group, watch, sink),
+            Depth::Eight => bands::<u8>(&renderer, group, format, watch, sink),
+            Depth::Sixteen => bands::<u16>(&renderer, group, format, watch, sink),
         }
     }
 
@@ -179,24 +241,43 @@ impl Session {
     }
 
     /// Draws the picture fitted into `within`, from the file's own thumbnail if that is large enough.
-    pub fn thumbnail(&self, within: [u32; 2], depth: Depth, sink: Sink<'_>) -> Outcome<()> {
-        let pixels = self.reader()?.thumbnail(within)?.pixels;
+    pub fn thumbnail(&self, within: [u32; 2], format: ssplat_format, sink: Sink<'_>) -> Outcome<()> {
+        format.check(self.reader()?.channels())?;
+        let pixels = self.reader()?.thumbnail(within, self.damage)?.pixels;
         let (channels, len) = (pixels.channels(), pixels.width() as usize * pixels.channels().count());
-        match (pixels.samples(), depth) {
-            (Samples::U8(samples), Depth::Eight) => send(samples, len, channels, sink),
-            (Samples::U16(samples), Depth::Sixteen) => send(samples, len, channels, sink),
+        match (pixels.samples(), format.depth()) {
+            (Samples::U8(samples), Depth::Eight) => format.send(samples, len, channels, sink),
+            (Samples::U16(samples), Depth::Sixteen) => format.send(samples, len, channels, sink),
             (Samples::U8(samples), Depth::Sixteen) => {
                 let row = |row: &[u8]| row.iter().map(|&v| u16::from(v) * 257).collect::<Vec<_>>();
-                samples.chunks_exact(len).for_each(|part| send(&row(part), len, channels, sink));
+                samples.chunks_exact(len).for_each(|part| format.send(&row(part), len, channels, sink));
             }
             (Samples::U16(samples), Depth::Eight) => {
                 let narrow = |v: u16| ((u32::from(v) * 255 + 32767) / 65535) as u8;
                 let row = |row: &[u16]| row.iter().map(|&v| narrow(v)).collect::<Vec<_>>();
-                samples.chunks_exact(len).for_each(|part| send(&row(part), len, channels, sink));
+                samples.chunks_exact(len).for_each(|part| format.send(&row(part), len, channels, sink));
             }
         }
         Ok(())
     }
+}
+
+/// No file is open.
+fn closed() -> Failure {
+    Failure::new(ssplat_status::Closed, "no file has been opened")
+}
+
+/// A file that cannot be read.
+fn failed(name: &dyn Display, error: std::io::Error) -> Failure {
+    match error.kind() {
+        ErrorKind::OutOfMemory => Failure::new(ssplat_status::Memory, error),
+        _ => Failure::new(ssplat_status::Io, format_args!("{name}: {error}")),
+    }
+}
+
+/// Makes room for so many more bytes.
+fn grow(bytes: &mut Vec<u8>, more: usize) -> Outcome<()> {
+    bytes.try_reserve(more).map_err(|e| Failure::new(ssplat_status::Memory, e))
 }
 
 /// Tells the callback how far the work is.
@@ -205,7 +286,13 @@ fn go_on(watch: Watch<'_>, done: f32) -> Outcome<()> {
 }
 
 /// Renders `group` bands at a time and hands out their rows.
-fn bands<T: Sample>(renderer: &Renderer, group: u32, watch: Watch<'_>, sink: Sink<'_>) -> Outcome<()> {
+fn bands<T: Sample>(
+    renderer: &Renderer,
+    group: u32,
+    format: ssplat_format,
+    watch: Watch<'_>,
+    sink: Sink<'_>,
+) -> Outcome<()> {
     let (count, len) = (renderer.bands(), renderer.row_len());
     let mut scratch = Vec::new();
     for first in (0..count).step_by(group as usize) {
@@ -216,49 +303,8 @@ fn bands<T: Sample>(renderer: &Renderer, group: u32, watch: Watch<'_>, sink: Sin
         scratch.try_reserve_exact(more).map_err(|e| Failure::new(ssplat_status::Memory, e))?;
         scratch.resize(needed, T::default());
         renderer.render_bands(first..last, T::samples(&mut scratch));
-        send(&scratch, len, renderer.channels(), sink);
+        format.send(&scratch, len, renderer.channels(), sink);
         go_on(watch, last as f32 / count as f32)?;
     }
     Ok(())
-}
-
-/// A sample of 8 or 16 bits.
-trait Sample: Default + bytemuck::Pod {
-    const OPAQUE: Self;
-
-    fn samples(out: &mut [Self]) -> SamplesMut<'_>;
-}
-
-impl Sample for u8 {
-    const OPAQUE: u8 = u8::MAX;
-
-    fn samples(out: &mut [u8]) -> SamplesMut<'_> {
-        SamplesMut::U8(out)
-    }
-}
-
-impl Sample for u16 {
-    const OPAQUE: u16 = u16::MAX;
-
-    fn samples(out: &mut [u16]) -> SamplesMut<'_> {
-        SamplesMut::U16(out)
-    }
-}
-
-/// Hands out rows of `len` samples as RGBA.
-fn send<T: Sample>(samples: &[T], len: usize, channels: Channels, sink: Sink<'_>) {
-    let mut rgba = Vec::with_capacity(len / channels.count() * 4);
-    for row in samples.chunks_exact(len) {
-        rgba.clear();
-        for pixel in row.chunks_exact(channels.count()) {
-            rgba.extend_from_slice(&match *pixel {
-                [grey] => [grey, grey, grey, T::OPAQUE],
-                [grey, alpha] => [grey, grey, grey, alpha],
-                [red, green, blue] => [red, green, blue, T::OPAQUE],
-                [red, green, blue, alpha, ..] => [red, green, blue, alpha],
-                [] => [T::OPAQUE; 4],
-            });
-        }
-        sink(bytemuck::cast_slice(&rgba));
-    }
 }

@@ -26,23 +26,41 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             }
         if (choice & 2)
             ssplat_decoder_preload(decoder);
-        int format = choice >> 2 & 1;
-        ssplat_view view = {0, 0, 0, 0, 1 + (choice >> 3), 7};
-        size_t bytes = (size_t)(4 << format) * view.out_width * view.out_height;
-        ssplat_buffer buffer = {malloc(bytes), bytes, 0, format};
+        int format = choice >> 2 & 1 ? SSPLAT_FORMAT_RGBA16 : SSPLAT_FORMAT_RGBA8;
+        size_t pixel = format == SSPLAT_FORMAT_RGBA16 ? 8 : 4;
+        if (choice == 64)
+            format = SSPLAT_FORMAT_BGRA8_PREMULTIPLIED;
+        else if (choice > 128)
+            pixel = (const size_t[]){6, 1, 2, 2, 4, 4, 8, 3}[choice & 7], format = (const int[]){SSPLAT_FORMAT_RGB16, SSPLAT_FORMAT_GREY8,
+                SSPLAT_FORMAT_GREY16, SSPLAT_FORMAT_GREY_ALPHA8, SSPLAT_FORMAT_GREY_ALPHA16, SSPLAT_FORMAT_RGBA8, SSPLAT_FORMAT_RGBA16, SSPLAT_FORMAT_RGB8}[choice & 7];
+        ssplat_view view = {.out_width = 1 + (choice >> 3), .out_height = 7};
+        size_t bytes = pixel * view.out_width * view.out_height;
+        ssplat_buffer buffer = {.data = malloc(bytes), .size = bytes, .format = format};
         ssplat_decoder_decode(decoder, &view, &buffer);
         if (info.width >= 8 && info.height >= 8) {
-            view = (ssplat_view){info.width - 8, info.height / 2, 8, 4, 0, 0};
-            buffer.size = (size_t)(4 << format) * 32;
+            view = (ssplat_view){.x = info.width - 8, .y = info.height / 2, .width = 8, .height = 4};
+            buffer.size = pixel * 32;
             if (buffer.size <= bytes)
                 ssplat_decoder_decode(decoder, &view, &buffer);
         }
         free(buffer.data);
         if (!ssplat_decoder_thumbnail(decoder, 9, 9, NULL, &width, &height)) {
-            bytes = (size_t)(4 << format) * width * height;
-            buffer = (ssplat_buffer){malloc(bytes), bytes, 0, format};
+            bytes = pixel * width * height;
+            buffer = (ssplat_buffer){.data = malloc(bytes), .size = bytes, .format = format};
             ssplat_decoder_thumbnail(decoder, 9, 9, &buffer, &width, &height);
             free(buffer.data);
+        }
+    }
+    /* The same bytes in two parts, of which the first is drawn if that can be. */
+    if (choice & 1 && ssplat_decoder_begin(decoder) == SSPLAT_STATUS_OK) {
+        uint8_t corner[4 * 4];
+        ssplat_view view = {.out_width = 2, .out_height = 2};
+        ssplat_buffer buffer = {.data = corner, .size = sizeof corner, .format = SSPLAT_FORMAT_RGBA8};
+        size_t first = size / 2 + choice % (size / 2 + 1);
+        if (ssplat_decoder_append(decoder, data, first) == SSPLAT_STATUS_OK) {
+            ssplat_decoder_decode(decoder, &view, &buffer);
+            if (ssplat_decoder_append(decoder, data + first, size - first) == SSPLAT_STATUS_OK)
+                ssplat_decoder_decode(decoder, &view, &buffer);
         }
     }
     if (ssplat_decoder_free(&decoder) != SSPLAT_STATUS_OK)

@@ -41,7 +41,7 @@ static int watch(void *user, float done)
 static void null_decoders(void)
 {
     ssplat_info info;
-    ssplat_buffer buffer = {NULL, 0, 0, 0};
+    ssplat_buffer buffer = {0};
     size_t length;
     uint32_t side;
     ssplat_decoder *none = NULL;
@@ -53,6 +53,10 @@ static void null_decoders(void)
     CHECK(ssplat_decoder_set_callback(NULL, watch, NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_memory(NULL, "ssplat", 6) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_file(NULL, "/dev/null") == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_decoder_open_callback(NULL, NULL, NULL) == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_decoder_begin(NULL) == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_decoder_append(NULL, "ssplat", 6) == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_decoder_missing(NULL, NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_close(NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_info(NULL, &info) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_metadata(NULL, 0, NULL, 0, &length) == SSPLAT_STATUS_PARAMETER);
@@ -65,7 +69,8 @@ static void null_decoders(void)
 static void closed_decoders(ssplat_decoder *decoder)
 {
     ssplat_info info;
-    ssplat_buffer buffer = {NULL, 0, 0, 0};
+    ssplat_buffer buffer = {0};
+    ssplat_missing missing;
     size_t length;
     uint32_t side;
     CHECK(ssplat_decoder_info(decoder, &info) == SSPLAT_STATUS_CLOSED);
@@ -73,10 +78,18 @@ static void closed_decoders(ssplat_decoder *decoder)
     CHECK(ssplat_decoder_preload(decoder) == SSPLAT_STATUS_CLOSED);
     CHECK(ssplat_decoder_decode(decoder, NULL, &buffer) == SSPLAT_STATUS_CLOSED);
     CHECK(ssplat_decoder_thumbnail(decoder, 8, 8, NULL, &side, &side) == SSPLAT_STATUS_CLOSED);
+    CHECK(ssplat_decoder_missing(decoder, &missing) == SSPLAT_STATUS_CLOSED);
+    CHECK(ssplat_decoder_append(decoder, "x", 1) == SSPLAT_STATUS_CLOSED);
+    CHECK(ssplat_decoder_open_callback(decoder, NULL, NULL) == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_decoder_begin(decoder) == SSPLAT_STATUS_OK);
+    CHECK(ssplat_decoder_append(decoder, NULL, 1) == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_decoder_append(decoder, NULL, 0) == SSPLAT_STATUS_OK);
+    CHECK(ssplat_decoder_append(decoder, "text", 4) == SSPLAT_STATUS_FORMAT);
+    CHECK(ssplat_decoder_append(decoder, "text", 4) == SSPLAT_STATUS_CLOSED);
     CHECK(ssplat_decoder_close(decoder) == SSPLAT_STATUS_OK);
     CHECK(ssplat_decoder_open_memory(decoder, NULL, 5) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_memory(decoder, "x", SIZE_MAX) == SSPLAT_STATUS_PARAMETER);
-    CHECK(ssplat_decoder_open_memory(decoder, NULL, 0) == SSPLAT_STATUS_FORMAT);
+    CHECK(ssplat_decoder_open_memory(decoder, NULL, 0) == SSPLAT_STATUS_TRUNCATED);
     CHECK(ssplat_decoder_open_memory(decoder, "not a picture at all, but text", 30) == SSPLAT_STATUS_FORMAT);
     CHECK(ssplat_decoder_open_file(decoder, NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_file(decoder, "/nowhere/to/be/found.ssplat") == SSPLAT_STATUS_IO);
@@ -101,24 +114,33 @@ static void messages(ssplat_decoder *decoder)
     CHECK(ssplat_decoder_message(decoder, guard, 11) == length && !strcmp(guard, "/nowhere/") && guard[11] == 'x');
     CHECK(ssplat_decoder_message(decoder, guard, 1) == length && guard[0] == 0);
     CHECK(!strcmp(ssplat_status_name(SSPLAT_STATUS_INTERNAL), "internal") && !strcmp(ssplat_status_name(0), "ok"));
-    CHECK(!strcmp(ssplat_status_name(12), "unknown") && !strcmp(ssplat_status_name(-1), "unknown"));
-    CHECK(strchr(ssplat_version(), '.'));
+    CHECK(!strcmp(ssplat_status_name(SSPLAT_STATUS_TRUNCATED), "truncated"));
+    CHECK(!strcmp(ssplat_status_name(14), "unknown") && !strcmp(ssplat_status_name(-1), "unknown"));
+    char version[32];
+    snprintf(version, sizeof version, "%d.%d.%d", SSPLAT_VERSION_MAJOR, SSPLAT_VERSION_MINOR, SSPLAT_VERSION_PATCH);
+    CHECK(!strcmp(ssplat_version(), version));
 }
 
 static void buffers(ssplat_decoder *decoder, const ssplat_info *info)
 {
     size_t row = (size_t)4 * info->width, size = row * info->height;
     unsigned char *memory = malloc(size), *other = malloc(size);
-    ssplat_buffer buffer = {memory, size, 0, SSPLAT_FORMAT_RGBA8};
+    ssplat_buffer buffer = {.data = memory, .size = size, .format = SSPLAT_FORMAT_RGBA8};
     uint32_t width, height;
     CHECK(ssplat_decoder_decode(decoder, NULL, NULL) == SSPLAT_STATUS_PARAMETER);
     buffer.data = NULL;
     CHECK(ssplat_decoder_decode(decoder, NULL, &buffer) == SSPLAT_STATUS_PARAMETER);
     buffer.data = memory;
-    for (int format = -1; format < 4; format += 3) {
-        buffer.format = format;
+    /* Grey formats do not take pictures with colours. */
+    const int refused[] = {-1, SSPLAT_FORMAT_GREY8, SSPLAT_FORMAT_GREY_ALPHA16, 9};
+    for (int i = 0; i < 4; i++) {
+        buffer.format = refused[i];
         CHECK(ssplat_decoder_decode(decoder, NULL, &buffer) == SSPLAT_STATUS_PARAMETER);
     }
+    buffer.format = SSPLAT_FORMAT_RGBA8;
+    buffer.reserved[4] = 1;
+    CHECK(ssplat_decoder_decode(decoder, NULL, &buffer) == SSPLAT_STATUS_PARAMETER);
+    buffer.reserved[4] = 0;
     buffer.format = SSPLAT_FORMAT_RGBA16;
     CHECK(ssplat_decoder_decode(decoder, NULL, &buffer) == SSPLAT_STATUS_BUFFER);
     buffer.format = SSPLAT_FORMAT_RGBA8;
@@ -157,18 +179,22 @@ static void views(ssplat_decoder *decoder, const ssplat_info *info)
 {
     size_t size = (size_t)4 * info->width * info->height;
     unsigned char *whole = malloc(size), part[4 * 16 * 8];
-    ssplat_buffer buffer = {whole, size, 0, SSPLAT_FORMAT_RGBA8}, small = {part, sizeof part, 0, SSPLAT_FORMAT_RGBA8};
+    ssplat_buffer buffer = {.data = whole, .size = size, .format = SSPLAT_FORMAT_RGBA8};
+    ssplat_buffer small = {.data = part, .size = sizeof part, .format = SSPLAT_FORMAT_RGBA8};
     ssplat_view bad[] = {
-        {0, 0, info->width + 1, 1, 0, 0},
-        {UINT32_MAX, 0, 2, 2, 0, 0},
-        {1, 1, UINT32_MAX, UINT32_MAX, 0, 0},
-        {1, 0, 0, 0, 0, 0},
-        {0, 0, 8, 0, 0, 0},
-        {0, 0, 0, 0, 8, 0},
-        {0, 0, 0, 0, 0, 8},
-        {0, 0, 0, 0, UINT32_MAX, 1},
+        {0, 0, info->width + 1, 1, 0, 0, {0}},
+        {UINT32_MAX, 0, 2, 2, 0, 0, {0}},
+        {1, 1, UINT32_MAX, UINT32_MAX, 0, 0, {0}},
+        {1, 0, 0, 0, 0, 0, {0}},
+        {0, 0, 8, 0, 0, 0, {0}},
+        {0, 0, 0, 0, 8, 0, {0}},
+        {0, 0, 0, 0, 0, 8, {0}},
+        {0, 0, 0, 0, UINT32_MAX, 1, {0}},
     };
-    ssplat_view inside = {20, 30, 16, 8, 0, 0}, huge = {0, 0, 0, 0, 1 << 20, 1 << 20};
+    ssplat_view inside = {20, 30, 16, 8, 0, 0, {0}}, huge = {0, 0, 0, 0, 1 << 20, 1 << 20, {0}};
+    inside.reserved[0] = 1;
+    CHECK(ssplat_decoder_decode(decoder, &inside, &buffer) == SSPLAT_STATUS_PARAMETER);
+    inside.reserved[0] = 0;
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
         CHECK(ssplat_decoder_decode(decoder, &bad[i], &buffer) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_decode(decoder, &huge, &buffer) == SSPLAT_STATUS_BUFFER);
@@ -186,7 +212,7 @@ static void views(ssplat_decoder *decoder, const ssplat_info *info)
 static void limits_and_callbacks(ssplat_decoder *decoder, const ssplat_info *info, const char *path)
 {
     size_t size = (size_t)4 * info->width * info->height;
-    ssplat_buffer buffer = {malloc(size), size, 0, SSPLAT_FORMAT_RGBA8};
+    ssplat_buffer buffer = {.data = malloc(size), .size = size, .format = SSPLAT_FORMAT_RGBA8};
     struct watcher watcher = {decoder, 0, 0, 0};
     CHECK(ssplat_decoder_set_limit(decoder, -1, 0) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_set_limit(decoder, 8, 0) == SSPLAT_STATUS_PARAMETER && ssplat_limit_default(8) == 0);

@@ -358,7 +358,7 @@ pub struct Decode {
     pub height: Option<u32>,
     /// Render the picture so that it fits into a square with this side in pixels; uses the thumbnail in the file if it
     /// is large enough, which is faster but less exact
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial", "layers"])]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "layers"])]
     pub thumbnail: Option<u32>,
     /// Output pixels per pixel of the picture; below 1, the picture is low-pass filtered
     #[arg(long, value_name = "FACTOR", value_parser = positive)]

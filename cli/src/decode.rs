@@ -157,9 +157,11 @@ fn thumbnail(
 ) -> Result<Done, Failure> {
     let start = Instant::now();
     let failed = |e| Failure::library(input, &e);
-    let ssplat::Decoded { pixels, mut metadata, .. } =
-        Reader::new(bytes, &Limits::default()).and_then(|reader| reader.thumbnail([side; 2])).map_err(failed)?;
-    let mut notes = losses(&metadata, MissingParts::default(), 0);
+    let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
+    let opening = Reader::new(bytes, &Limits::default()).map_err(failed)?;
+    let primitives = opening.primitives();
+    let ssplat::Decoded { pixels, mut metadata, missing, .. } = opening.thumbnail([side; 2], damage).map_err(failed)?;
+    let mut notes = losses(&metadata, missing, primitives);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
     let background = background(args, pixels.channels(), format, &mut notes);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use image::ImageError;
-use ssplat::Error;
+use ssplat::{Error, FormatError};
 
 /// The kind of a failure; each has its own exit status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,7 +59,14 @@ impl Failure {
             Error::Source { error, .. } => return Failure::image(path, error),
             _ => Kind::Other,
         };
-        Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
+        let text = match error {
+            Error::Format(cut @ FormatError::CutOff { partial: true, .. }) => {
+                format!("{cut}; decode --partial shows what is there")
+            }
+            Error::Format(cut @ FormatError::CutOff { .. }) => cut.to_string(),
+            error => error.to_string(),
+        };
+        Failure { kind, message: format!("{}: {text}", Failure::input(path)) }
     }
 
     /// An error of the `image` crate for the file `path`.

@@ -7,12 +7,12 @@ mod server;
 
 use std::path::Path;
 
-use ssplat::{Damage, Limits, Reader};
+use ssplat::{Damage, Error, FormatError, Limits, Reader};
 
 use crate::args;
 use crate::failure::Failure;
 use crate::input;
-use crate::sink::Sink;
+use crate::sink::{Sink, tell};
 
 /// A file to show: its bytes, and its name for the page.
 struct Shown {
@@ -33,13 +33,33 @@ impl Shown {
     }
 }
 
+/// Returns a file that the viewer reads: `bytes`, or a file of the parts that are present if `bytes` are cut off. Refuses
+/// broken files here, not in the browser.
+fn complete(input: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u8>, Failure> {
+    let failed = |e| Failure::library(input, &e);
+    let read = |damage| Reader::new(&bytes, limits).and_then(|opening| opening.read(damage));
+    match read(Damage::Refuse) {
+        Ok(_) => Ok(bytes),
+        Err(Error::Format(cut @ FormatError::CutOff { partial: true, .. })) => {
+            let mut splats = read(Damage::Accept).map_err(failed)?.splats().clone();
+            if splats.levels.iter().map(|&n| n as usize).sum::<usize>() != splats.gaussians.len() {
+                splats.levels.clear();
+            }
+            let mut present = Vec::new();
+            ssplat::unstable::bitstream::write(&splats, &mut present).map_err(failed)?;
+            tell(&format!("{}: {cut}; the viewer shows what is there", Failure::input(input)));
+            Ok(present)
+        }
+        Err(error) => Err(failed(error)),
+    }
+}
+
 pub fn run(args: &args::View) -> Result<(), Failure> {
     let opens = if args.no_open { server::Opens::Nothing } else { server::Opens::Browser };
     let Some(input) = &args.input else { return server::run(None, None, opens) };
     let bytes = input::read_splats(input)?;
     let limits = Limits::default();
-    // Report a broken file here, not in the browser.
-    Reader::new(&bytes, &limits).and_then(|o| o.read(Damage::Refuse)).map_err(|e| Failure::library(input, &e))?;
+    let bytes = complete(input, bytes, &limits)?;
     let file = Shown::new(input, bytes);
     let original = match &args.original {
         Some(path) => Some(Shown::new(path, input::read_at_most(path, limits.alloc)?)),

@@ -1,7 +1,7 @@
 //! Conversion of the library's errors to Python exceptions, with one class for each kind (`ssplat/errors.py`).
 
 use pyo3::PyErr;
-use ssplat::{Error, Parameter, Target};
+use ssplat::{Error, FormatError, Parameter, Target};
 
 mod kinds {
     pyo3::import_exception!(ssplat.errors, CancelledError);
@@ -11,13 +11,20 @@ mod kinds {
     pyo3::import_exception!(ssplat.errors, IoError);
     pyo3::import_exception!(ssplat.errors, LimitExceededError);
     pyo3::import_exception!(ssplat.errors, ParameterError);
+    pyo3::import_exception!(ssplat.errors, TruncatedError);
     pyo3::import_exception!(ssplat.errors, UnsupportedVersionError);
 }
 
 /// Returns the exception for `error`.
 pub fn exception(error: Error) -> PyErr {
-    let text = error.to_string();
+    let text = match &error {
+        Error::Format(cut @ FormatError::CutOff { partial: true, .. }) => {
+            format!("the file is {cut}; partial=True decodes what is there")
+        }
+        error => error.to_string(),
+    };
     match error {
+        Error::Format(FormatError::CutOff { bytes, of, .. }) => kinds::TruncatedError::new_err((text, bytes, of)),
         Error::Io(_) => kinds::IoError::new_err(text),
         Error::Format(_) => kinds::FormatError::new_err(text),
         Error::UnsupportedVersion { found } => kinds::UnsupportedVersionError::new_err((text, found)),

@@ -154,8 +154,9 @@ def test_progress_tells_the_stages_up_to_their_end():
 def test_a_damaged_file_is_drawn_in_part_when_asked_for():
     levels = ssplat.encode(KODIM05, effort=1, ratio=300, levels=2, detail="off")
     cut = levels[: len(levels) * 2 // 3]
-    with pytest.raises(ssplat.FormatError):
+    with pytest.raises(ssplat.TruncatedError, match=f"cut off after {len(cut)} of {len(levels)} bytes; partial=True decodes") as told:
         ssplat.decode(cut)
+    assert (told.value.bytes, told.value.of) == (len(cut), len(levels))
     with pytest.warns(ssplat.PartialWarning, match="groups"):
         pixels = ssplat.decode(cut, partial=True)
     whole = ssplat.decode(levels)

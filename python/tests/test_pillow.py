@@ -199,7 +199,7 @@ def test_broken_files_are_os_errors():
 def test_truncated_files_show_what_is_intact_when_pillow_is_told_so(monkeypatch):
     data = saved(Image.open(KODIM05), ratio=300, levels=2)
     cut = data[: len(data) * 2 // 3]
-    with pytest.raises(OSError, match="cut off|checksum"):
+    with pytest.raises(OSError, match="cut off after .*; ImageFile.LOAD_TRUNCATED_IMAGES = True decodes"):
         opened(cut).load()
     monkeypatch.setattr(ImageFile, "LOAD_TRUNCATED_IMAGES", True)
     with pytest.warns(ssplat.PartialWarning):

@@ -274,6 +274,12 @@ fn read_directory(
     Ok(entries)
 }
 
+/// Reads everything before the groups, and returns the bytes of all groups.
+pub(crate) fn length(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats) -> Result<u64> {
+    let entries = read_directory(bytes, header, header.checksum(), splats)?;
+    Ok(entries.last().map_or(0, |entry| entry.bytes.end))
+}
+
 /// Returns the CRC-32 of the directory, continued from that of the header.
 fn directory_checksum(header: u32, directory: &[u8]) -> u32 {
     let mut hasher = Hasher::new();

@@ -24,9 +24,9 @@ use super::uncoded::{packed, planes};
 use super::write::base_checksum;
 use super::{CHECKSUM, groups};
 use crate::budget::{Budget, Reservation};
-use crate::error::{FormatError, Result};
+use crate::error::{Error, FormatError, Result};
 use crate::limits::Limits;
-use crate::options::Layers;
+use crate::options::{Damage, Layers};
 use crate::parameter::Limit;
 use crate::rect::Rect;
 
@@ -91,7 +91,10 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
     let mut tally = Tally { detail: Detail::Fields, ..Tally::default() };
     tally.part("header", header.bytes().len());
     let budget = Budget::of(limits);
-    let (splats, sections) = Reading::all(limits, &budget).whole(&header, rest, None, &mut tally)?;
+    let reading = Reading::all(limits, &budget);
+    let (splats, sections) = reading
+        .whole(&header, rest, None, &mut tally)
+        .map_err(|error| reading.explained(&header, rest, Damage::Refuse, error))?;
     tally.part("checksum", CHECKSUM);
     let levels = splats.levels.clone();
     let Tally { parts, fields, each, groups, layer_bits, .. } = tally;
@@ -314,6 +317,79 @@ impl Reading<'_> {
         Ok(read.metadata)
     }
 
+    /// Returns `error`, or the error of a truncated file if `error` comes from the end of the file being missing. The
+    /// error has the length of the whole file if that can be found.
+    ///
+    /// The checksum is the last part of a file. In a truncated file, other bytes are in its place, so that the error of
+    /// [`whole`](Reading::whole) is a wrong checksum.
+    pub(crate) fn explained(self, header: &Header, rest: &[u8], damage: Damage, error: Error) -> Error {
+        let is_short = match error {
+            Error::Format(FormatError::Truncated { .. }) => true,
+            Error::Format(FormatError::Checksum { what: "file", .. }) => false,
+            error => return error,
+        };
+        let bytes = header.bytes().len() as u64 + rest.len() as u64;
+        let End { end, has_parts } = self.end(header, rest);
+        let partial = has_parts && damage == Damage::Refuse;
+        match (end, error) {
+            (Ok(Some(end)), _) if end > bytes => FormatError::CutOff { bytes, of: Some(end), partial }.into(),
+            (Err(Error::Format(FormatError::Truncated { .. })), _) => {
+                FormatError::CutOff { bytes, of: None, partial }.into()
+            }
+            _ if is_short => FormatError::CutOff { bytes, of: None, partial }.into(),
+            (Ok(None), Error::Format(FormatError::Checksum { stored, computed, .. })) => {
+                FormatError::Checksum { what: "file, which is damaged or cut off,", stored, computed }.into()
+            }
+            (_, error) => error,
+        }
+    }
+
+    /// Finds where the file ends, from lengths that it states.
+    fn end(self, header: &Header, rest: &[u8]) -> End {
+        let mut found = End { end: Ok(None), has_parts: false };
+        found.end = self.find_end(header, rest, &mut found.has_parts);
+        found
+    }
+
+    fn find_end(self, header: &Header, rest: &[u8], has_parts: &mut bool) -> Result<Option<u64>> {
+        let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
+        let mut working = self.reserve(header, rest)?;
+        let SectionsRead { detail, exact, .. } =
+            self.sections(header, &mut bytes, &mut Hasher::new(), &mut Tally::default())?;
+        let spans = spans(detail.as_ref(), exact.as_ref())?;
+        let (mut splats, tally) = (header.empty(Metadata::default()), &mut Tally::default());
+        let Some(spans) = spans else {
+            match (header.layout, header.grouping) {
+                (Layout::Packed, _) => packed::read(&mut bytes, header, &mut splats, tally)?,
+                (Layout::Planes, _) => planes::read(&mut bytes, header, &mut splats, tally)?,
+                // The stream does not state its length.
+                (Layout::Coded, Grouping::Single) => return Ok(None),
+                (Layout::Coded, Grouping::Groups) => {
+                    let groups = groups::length(&mut bytes, header, &mut splats)?;
+                    *has_parts = true;
+                    return Ok(Some(bytes.offset().saturating_add(groups).saturating_add(CHECKSUM as u64)));
+                }
+            }
+            return Ok(Some(bytes.offset() + CHECKSUM as u64));
+        };
+        *has_parts = header.grouping == Grouping::Groups
+            && groups::length(&mut bytes.clone(), header, &mut splats).is_ok()
+            || bytes.left() as u64 >= spans.payload;
+        bytes.take(spans.payload, "Gaussians")?;
+        let mut end = None;
+        if detail.is_some() {
+            let mut layer = bytes.clone();
+            let streams = index::streams_length(&mut layer, [header.width, header.height], &mut working)?;
+            end = Some(layer.offset().saturating_add(streams));
+        }
+        if let Some(head) = &exact {
+            bytes.take(head.detail, "detail layer")?;
+            let streams = exact_index::streams_length(&mut bytes, head, [header.width, header.height], &mut working)?;
+            end = Some(bytes.offset().saturating_add(streams));
+        }
+        Ok(end.map(|end| end.saturating_add(CHECKSUM as u64)))
+    }
+
     /// Reserves the maximum memory that parsing `rest` can take.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
         let primitives = u64::from(header.primitives) * working_bytes(header.layout);
@@ -338,6 +414,14 @@ impl Reading<'_> {
         tally.part("sections", bytes.taken().len());
         Ok(read)
     }
+}
+
+/// Where a file ends.
+struct End {
+    /// Length of the whole file, if the bytes that are present state it.
+    end: Result<Option<u64>>,
+    /// Whether parts of the picture can be decoded without the rest.
+    has_parts: bool,
 }
 
 /// Returns the length and the checksum of the Gaussians' bytes if layers follow them.

@@ -54,6 +54,16 @@ pub(super) fn read(bytes: &mut Bytes<'_>, count: u64, names: Names, held: &mut R
     Ok(entries)
 }
 
+/// Reads the index of `count` tiles, and returns the bytes of all streams.
+pub(super) fn length(bytes: &mut Bytes<'_>, count: u64, names: Names, held: &mut Reservation) -> Result<u64> {
+    if count > bytes.left() as u64 {
+        // The index itself is incomplete.
+        return Err(FormatError::Truncated { what: names.tiles, offset: bytes.offset() + bytes.left() as u64 }.into());
+    }
+    let entries = read(bytes, count, names, held)?;
+    Ok(entries.iter().fold(0, |sum: u64, entry| sum.saturating_add(entry.length)))
+}
+
 /// Takes the streams of `entries`. Returns what follows the index, in which a damaged file may lack some of them if
 /// `passes_over`.
 pub(super) fn take<'a>(

@@ -14,7 +14,7 @@ use crate::bitstream::report::Tally;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{MissingParts, Reading, read_rest};
 use crate::budget::{Budget, Reservation};
-use crate::error::{Error, Result};
+use crate::error::{Error, FormatError, Result};
 use crate::gaussian::{Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::options::{Damage, Layers};
@@ -107,7 +107,7 @@ impl<'a> Reader<'a> {
     #[doc(alias = "parse")]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
-        let header = Header::read(&mut rest, limits)?;
+        let header = read_header(&mut rest, limits)?;
         Ok(Reader::with_header(header, rest.into(), limits))
     }
 
@@ -169,7 +169,9 @@ impl<'a> Reader<'a> {
     /// [`Limits::metadata`].
     #[doc(alias("icc", "exif"))]
     pub fn metadata(&self) -> Result<Metadata> {
-        Reading { limits: &self.limits, budget: &self.budget, layers: Layers::Both }.described(&self.header, &self.rest)
+        let reading = Reading { limits: &self.limits, budget: &self.budget, layers: Layers::Both };
+        let described = reading.described(&self.header, &self.rest);
+        described.map_err(|error| reading.explained(&self.header, &self.rest, Damage::Accept, error))
     }
 
     /// Renders the picture at the largest size that fits into `within` (width and height in pixels), keeping its aspect
@@ -181,10 +183,11 @@ impl<'a> Reader<'a> {
     /// cases.
     ///
     /// # Errors
-    /// As [`read`](Reader::read) and [`SplatImage::render`]; [`Error::Parameter`] if a side of `within` is 0.
+    /// As [`read`](Reader::read) with this `damage`, and [`SplatImage::render`]; [`Error::Parameter`] if a side of
+    /// `within` is 0.
     #[doc(alias = "preview")]
-    pub fn thumbnail(&self, within: [u32; 2]) -> Result<Decoded> {
-        super::thumbnail::thumbnail(self, within)
+    pub fn thumbnail(&self, within: [u32; 2], damage: Damage) -> Result<Decoded> {
+        super::thumbnail::thumbnail(self, within, damage)
     }
 
     /// Returns a reader of the same bytes with the same memory account.
@@ -225,16 +228,13 @@ impl<'a> Reader<'a> {
     fn read_part(self, area: Option<Rect>, layers: Layers, damage: Damage) -> Result<SplatImage> {
         let Reader { header, rest, limits, budget } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
-        let (splats, missing, area) = match damage {
-            Damage::Accept => {
-                let (splats, missing) = reading.intact(&header, &rest)?;
-                (splats, missing, None)
-            }
-            Damage::Refuse => {
-                let (splats, _) = reading.whole(&header, &rest, area.as_ref(), &mut Tally::default())?;
-                (splats, MissingParts::default(), area)
-            }
+        let read = match damage {
+            Damage::Accept => reading.intact(&header, &rest).map(|(splats, missing)| (splats, missing, None)),
+            Damage::Refuse => reading
+                .whole(&header, &rest, area.as_ref(), &mut Tally::default())
+                .map(|(splats, _)| (splats, MissingParts::default(), area)),
         };
+        let (splats, missing, area) = read.map_err(|error| reading.explained(&header, &rest, damage, error))?;
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
         let layer = splats.detail.as_ref().map_or(0, |layer| layer.memory())
             + splats.exact.as_ref().map_or(0, |layer| layer.memory());
@@ -253,7 +253,7 @@ impl Reader<'static> {
     /// # Errors
     /// As [`Reader::new`], [`Error::Io`] from `source`, and [`Error::LimitExceeded`] if there are too many bytes.
     pub fn from_read(mut source: impl Read, limits: &Limits) -> Result<Self> {
-        let header = Header::read(&mut source, limits)?;
+        let header = read_header(&mut source, limits)?;
         let rest = read_rest(source, limits)?;
         Ok(Reader::with_header(header, rest.into(), limits))
     }
@@ -370,6 +370,16 @@ impl SplatImage {
         self.limits.alloc = alloc;
         Ok(())
     }
+}
+
+/// Reads the header, before whose end there is nothing to decode.
+fn read_header(source: &mut impl Read, limits: &Limits) -> Result<Header> {
+    Header::read(source, limits).map_err(|error| match error {
+        Error::Format(FormatError::Truncated { offset: bytes, .. }) => {
+            FormatError::CutOff { bytes, of: None, partial: false }.into()
+        }
+        error => error,
+    })
 }
 
 /// Checks that `view` shows nothing outside `area`, if only that area was read, and no other layers than were read.

@@ -8,12 +8,12 @@ use crate::limits::Limits;
 use crate::options::Damage;
 
 /// Renders the picture at the largest size that fits into `within`. See [`Reader::thumbnail`].
-pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2]) -> Result<Decoded> {
+pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2], damage: Damage) -> Result<Decoded> {
     let view = opening.view().fitted(within)?;
     if let Some(small) = from_thumbnail(opening, [view.width(), view.height()])? {
         return Ok(small);
     }
-    let opened = opening.again().read_for(&view, Damage::Refuse)?;
+    let opened = opening.again().read_for(&view, damage)?;
     let (pixels, missing) = (opened.render(&view)?, opened.missing());
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }

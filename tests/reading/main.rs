@@ -17,6 +17,7 @@ mod sha256;
 mod synthetic;
 
 mod bitstream;
+mod cut;
 #[cfg(feature = "encode")]
 mod decode;
 mod detail;

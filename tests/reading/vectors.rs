@@ -290,6 +290,42 @@ fn valid() -> Vec<Vector> {
     out
 }
 
+/// Files with values that have no effect (spec §1), which decoders accept and ignore.
+fn ignored() -> Vec<Vector> {
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, splats: &PackedSplats| {
+        let (name, bytes) = (format!("ignored-{name}"), to_bytes(splats).unwrap());
+        out.push(Vector { folder: "valid", name, shows: shows.into(), bytes, size: None });
+    };
+    for (layout, name) in [(Layout::Packed, "packed"), (Layout::Coded, "coded")] {
+        let mut chroma = small(layout, Channels::Grey, 12, false, 31);
+        chroma.steps.chroma = 3;
+        add(&format!("{name}-chroma"), "grey, with a chroma step", &chroma);
+        let mut position = two(layout);
+        position.steps.position = 15;
+        add(&format!("{name}-position"), "a position step at range 0", &position);
+        let mut angle = two(layout);
+        angle.steps.angle = 3;
+        for p in &mut angle.gaussians {
+            (p.minor, p.angle) = (p.major, 0);
+        }
+        add(&format!("{name}-angle"), "an angle step without elongated primitives", &angle);
+        let mut book = two(layout);
+        let used = [book.gaussians[0].color, book.gaussians[1].color];
+        book.codebook = Some(vec![used[0], used[1], [-100, 3, 4, 0], [90, 0, 0, 0]]);
+        add(&format!("{name}-colours"), "a codebook of four colours, two of them unused", &book);
+        book.gaussians.clear();
+        add(&format!("{name}-codebook"), "a codebook without primitives", &book);
+    }
+    let mut metadata = small(Layout::Packed, Channels::Grey, 12, false, 32);
+    // The start of a profile of RGB in a grey file; the rest of it is missing.
+    let mut profile = vec![0; 40];
+    profile[12..20].copy_from_slice(b"mntrRGB ");
+    (metadata.metadata.icc, metadata.metadata.exif) = (Some(profile), Some(Vec::new()));
+    add("metadata", "a broken profile of another colour space, and an empty EXIF block", &metadata);
+    out
+}
+
 /// Adds `count` empty sections to a file without sections.
 fn with_sections(bytes: &[u8], count: u8) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
@@ -870,7 +906,7 @@ fn reduced() -> Vec<Vector> {
 }
 
 fn all() -> Vec<Vector> {
-    let gaussians = [valid(), layered(), invalid(), broken_layers(), limits(), reduced(), partial()];
+    let gaussians = [valid(), ignored(), layered(), invalid(), broken_layers(), limits(), reduced(), partial()];
     gaussians.into_iter().chain([vectors_exact::all()]).flatten().collect()
 }
 

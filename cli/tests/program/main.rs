@@ -12,6 +12,7 @@ mod waves;
 #[cfg(feature = "avif")]
 mod avif;
 mod cli;
+mod cut;
 #[cfg(unix)]
 mod door;
 mod exchange;

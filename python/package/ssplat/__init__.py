@@ -25,6 +25,7 @@ from .errors import (
     ParameterError,
     PartialWarning,
     QualityWarning,
+    TruncatedError,
     UnsupportedVersionError,
 )
 
@@ -39,6 +40,7 @@ __all__ = [
     "ParameterError",
     "PartialWarning",
     "QualityWarning",
+    "TruncatedError",
     "UnsupportedVersionError",
     "__version__",
     "decode",

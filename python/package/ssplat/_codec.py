@@ -201,6 +201,7 @@ def decode(
         A new array of uint8 or uint16 with shape (height, width) for grey, otherwise (height, width, channels).
 
     Raises:
+        TruncatedError: the file is cut off; a FormatError.
         FormatError: the file is broken.
         UnsupportedVersionError: this package does not support the version of the file.
         LimitExceededError: the file exceeds the limits.

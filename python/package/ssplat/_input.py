@@ -72,7 +72,8 @@ def contiguous(name: str, array: Any) -> np.ndarray:
     if not isinstance(array, np.ndarray):
         raise ParameterError(f"bad parameter {name}: {type(array).__name__} is not an array, a picture or a file", name)
     if array.dtype.kind != "u" or array.dtype.itemsize > 2:
-        raise ParameterError(f"bad parameter {name}: dtype {array.dtype} is neither uint8 nor uint16", name)
+        way = "; for values of 0 to 1: (255 * array.clip(0, 1)).round().astype(numpy.uint8)" if array.dtype.kind == "f" else ""
+        raise ParameterError(f"bad parameter {name}: dtype {array.dtype} is neither uint8 nor uint16{way}", name)
     # Checked before the copy, because an array with strides of 0 can have any size.
     shape = list(array.shape)
     if len(shape) not in (2, 3) or len(shape) == 3 and not 1 <= shape[2] <= 4:

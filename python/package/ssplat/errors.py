@@ -12,6 +12,7 @@ __all__ = [
     "PartialWarning",
     "ParameterError",
     "QualityWarning",
+    "TruncatedError",
     "UnsupportedVersionError",
 ]
 
@@ -26,6 +27,19 @@ class IoError(Error, OSError):
 
 class FormatError(Error, ValueError):
     """The file breaks the specification."""
+
+
+class TruncatedError(FormatError):
+    """The file ends too early: it was cut off, or has not arrived completely.
+
+    Attributes:
+        bytes: the length of the data.
+        of: the length of the whole file, or None if the data do not state it.
+    """
+
+    def __init__(self, message: str, bytes: int = 0, of: int | None = None) -> None:
+        super().__init__(message)
+        self.bytes, self.of = bytes, of
 
 
 class UnsupportedVersionError(Error, ValueError):

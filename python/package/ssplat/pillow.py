@@ -100,7 +100,9 @@ class _Decoder(ImageFile.PyDecoder):
         try:
             array = decode(self.fd.read(), size=size, bits=bits, partial=ImageFile.LOAD_TRUNCATED_IMAGES)
         except Error as e:
-            raise OSError(str(e)) from e
+            # Pillow's word for `partial`.
+            text = str(e).replace("partial=True", "ImageFile.LOAD_TRUNCATED_IMAGES = True")
+            raise OSError(text) from e
         # I;16 is little-endian everywhere.
         self.set_as_raw(array.astype("<u2" if bits == 16 else np.uint8, copy=False).tobytes(), mode)
         return -1, 0

@@ -152,6 +152,12 @@ pub(crate) fn read(
     Ok(Found { layer: Some(DetailLayer { head, tiles }), missing, of: count as u32, index, bits })
 }
 
+/// Reads the index, and returns the bytes of all streams after it.
+pub(crate) fn streams_length(bytes: &mut Bytes<'_>, size: [u32; 2], held: &mut Reservation) -> Result<u64> {
+    let [across, down] = tile_counts(size);
+    tile_index::length(bytes, across as u64 * down as u64, NAMES, held)
+}
+
 /// Name of a tile's stream in errors.
 const STREAM: &str = "tile of the detail layer";
 

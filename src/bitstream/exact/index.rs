@@ -77,6 +77,17 @@ pub(crate) fn put(layer: &ExactLayer, size: [u32; 2], channels: Channels, depth:
     put_streams(&streams, out);
 }
 
+/// Reads the index, and returns the bytes of all streams after it.
+pub(crate) fn streams_length(
+    bytes: &mut Bytes<'_>,
+    head: &ExactHead,
+    size: [u32; 2],
+    held: &mut Reservation,
+) -> Result<u64> {
+    let [across, down] = tile_counts(size, head.side);
+    tile_index::length(bytes, across as u64 * down as u64, NAMES, held)
+}
+
 /// Reads the layer, or those of its tiles that reach into an area, and grows `held` by the memory that they take.
 pub(crate) fn read(
     bytes: &mut Bytes<'_>,

@@ -15,7 +15,7 @@ use image::metadata::Orientation;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::{Sections, VERSION};
 use ssplat::unstable::bitstream::splats::{Layout, Metadata};
-use ssplat::{Blend, Damage, Error, Layers, Limit, Limits, Reader, Rect, Result};
+use ssplat::{Blend, Damage, Error, FormatError, Layers, Limit, Limits, Reader, Rect, Result};
 
 /// State that is kept between two calls.
 #[derive(Default)]
@@ -336,7 +336,13 @@ fn answer(make: impl FnOnce(&[u8], &Limits) -> Result<Answer>) -> u32 {
                 0
             }
             Err(error) => {
-                desk.answer.pieces[0] = error.to_string().into_bytes();
+                let text = match &error {
+                    Error::Format(cut @ FormatError::CutOff { partial: true, .. }) => {
+                        format!("the file is {cut}; {{ partial: true }} decodes what is there")
+                    }
+                    error => error.to_string(),
+                };
+                desk.answer.pieces[0] = text.into_bytes();
                 match error {
                     Error::Format(_) => 1,
                     Error::UnsupportedVersion { .. } => 2,
