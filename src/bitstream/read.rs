@@ -117,6 +117,15 @@ pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Miss
     Reading::all(limits, &Budget::of(limits)).intact(&header, rest)
 }
 
+/// Returns whether the last bytes are the checksum of those before them.
+fn has_own_checksum(header: &Header, rest: &[u8]) -> bool {
+    let Some((contents, stored)) = rest.split_last_chunk() else { return false };
+    let mut hasher = Hasher::new();
+    hasher.update(header.bytes());
+    hasher.update(contents);
+    hasher.finalize() == u32::from_le_bytes(*stored)
+}
+
 /// Returns all remaining bytes of `reader`. It reads at most one byte more than `limits` allow.
 ///
 /// # Errors
@@ -328,6 +337,10 @@ impl Reading<'_> {
             Error::Format(FormatError::Checksum { what: "file", .. }) => false,
             error => return error,
         };
+        // A file with its checksum is whole, whatever lengths it states.
+        if has_own_checksum(header, rest) {
+            return error;
+        }
         let bytes = header.bytes().len() as u64 + rest.len() as u64;
         let End { end, has_parts } = self.end(header, rest);
         let partial = has_parts && damage == Damage::Refuse;

@@ -80,3 +80,15 @@ fn a_wrong_byte_is_not_a_missing_one() {
         assert!(matches!(error, Error::Format(FormatError::Checksum { .. })), "{name}: {error:?}");
     }
 }
+
+#[test]
+fn a_file_with_its_own_checksum_is_not_cut_off() {
+    for name in ["groups-levels", "detail-rgb", "exact-rgb-8", "packed-rgb"] {
+        let path = format!("{}/spec/vectors/valid/{name}/file.ssplat", env!("CARGO_MANIFEST_DIR"));
+        let file = std::fs::read(path).unwrap();
+        let mut short = file[..file.len() - 12].to_vec();
+        short.extend(crc32fast::hash(&short).to_le_bytes());
+        let error = read(&short, Damage::Refuse).unwrap_err();
+        assert!(!matches!(error, Error::Format(FormatError::CutOff { .. })), "{name}: {error:?}");
+    }
+}
