@@ -2,7 +2,7 @@
 """Compares files without loss with lossless WebP, JPEG XL and PNG.
 
     python lab/exact.py target/release/ssplat PICTURES...
-    python lab/exact.py target/release/ssplat PICTURES... --no-times
+    python lab/exact.py target/release/ssplat PICTURES... --no-times --crop 64
 
 PICTURES are pictures or folders of pictures. For each picture, the command prints the bytes of its PNG (as Pillow
 optimizes it), of lossless WebP (method 6, quality 100), of JPEG XL (effort 7) and of `ssplat encode --lossless`, the last
@@ -13,7 +13,7 @@ compared with the picture. The means of each folder follow.
 
 Pictures are converted to 8 bits and to RGB, or RGBA if they have alpha. The command needs Pillow and pillow-jxl-plugin.
 """
-import argparse, io, pathlib, resource, subprocess, sys, tempfile, time
+import argparse, io, pathlib, random, resource, subprocess, sys, tempfile, time
 
 try:
     import pillow_jxl  # noqa: F401, registers JPEG XL
@@ -27,6 +27,18 @@ KINDS = {".png", ".jpg", ".jpeg", ".webp", ".ppm", ".bmp", ".tif", ".tiff"}
 def found(paths):
     for path in paths:
         yield from sorted(p for p in path.iterdir() if p.suffix.lower() in KINDS) if path.is_dir() else [path]
+
+
+def crops(picture, side, count=4):
+    """Yields squares at random places with more than four colours, if there are any."""
+    places = random.Random(5)
+    for _ in range(count):
+        for _ in range(50):
+            x, y = places.randrange(picture.width - side), places.randrange(picture.height - side)
+            crop = picture.crop((x, y, x + side, y + side))
+            if crop.getcolors(4) is None:
+                break
+        yield crop
 
 
 def spent(command):
@@ -61,6 +73,7 @@ def main():
     parser.add_argument("program")
     parser.add_argument("pictures", type=pathlib.Path, nargs="+")
     parser.add_argument("--no-times", action="store_true", help="do not measure times")
+    parser.add_argument("--crop", type=int, metavar="SIDE", help="only four squares of each picture, of SIDE pixels a side")
     args = parser.parse_args()
     sets = {}
     print("| picture | PNG | WebP | JPEG XL | ssplat | of the smaller | encode, s/MP | decode, ns/px | WebP, ns/px |")
@@ -72,20 +85,21 @@ def main():
             picture = Image.open(path)
             has_alpha = "A" in picture.getbands() or "transparency" in picture.info
             picture = picture.convert("RGBA" if has_alpha else "RGB")
-            picture.save(source)
-            pixels = picture.width * picture.height
-            png, webp, jxl = losslessly(picture)
-            encode = spent([args.program, "encode", source, file, "--lossless", "--keep-hidden", "--force", "--quiet"]) - idle
-            decode = spent([args.program, "decode", file, back, "--quiet"]) - idle
-            if Image.open(back).convert(picture.mode).tobytes() != picture.tobytes():
-                sys.exit(f"{path}: the decoded picture differs")
-            size = file.stat().st_size
-            ratio = size / min(len(webp), len(jxl))
-            times = "| | |" if args.no_times else (
-                f"{encode / pixels * 1e6:.2f} | {decode / pixels * 1e9:.0f} | {decode_seconds(webp) / pixels * 1e9:.0f} |"
-            )
-            print(f"| {path.parent.name}/{path.stem} | {len(png)} | {len(webp)} | {len(jxl)} | {size} | {ratio:.3f} | {times}", flush=True)
-            sets.setdefault(path.parent.name, []).append(ratio)
+            for picture in crops(picture, args.crop) if args.crop else [picture]:
+                picture.save(source)
+                pixels = picture.width * picture.height
+                png, webp, jxl = losslessly(picture)
+                encode = spent([args.program, "encode", source, file, "--lossless", "--keep-hidden", "--force", "--quiet"]) - idle
+                decode = spent([args.program, "decode", file, back, "--quiet"]) - idle
+                if Image.open(back).convert(picture.mode).tobytes() != picture.tobytes():
+                    sys.exit(f"{path}: the decoded picture differs")
+                size = file.stat().st_size
+                ratio = size / min(len(webp), len(jxl))
+                times = "| | |" if args.no_times else (
+                    f"{encode / pixels * 1e6:.2f} | {decode / pixels * 1e9:.0f} | {decode_seconds(webp) / pixels * 1e9:.0f} |"
+                )
+                print(f"| {path.parent.name}/{path.stem} | {len(png)} | {len(webp)} | {len(jxl)} | {size} | {ratio:.3f} | {times}", flush=True)
+                sets.setdefault(path.parent.name, []).append(ratio)
     for name, ratios in sets.items():
         print(f"{name}: mean of the smaller {sum(ratios) / len(ratios):.3f}, worst {max(ratios):.3f}, {len(ratios)} pictures")
 
