@@ -105,7 +105,7 @@ fuzz_target!(|input: Input| {
     let mut options = DecodeOptions::default();
     (options.limits, options.region, options.size) = (limits(), input.region.map(Rect::from), input.size);
     measured(|| drop(decode(&bytes, &options)));
-    measured(|| drop(Reader::new(&bytes, &limits()).and_then(|reader| reader.thumbnail(input.within))));
+    measured(|| drop(Reader::new(&bytes, &limits()).and_then(|reader| reader.thumbnail(input.within, Damage::Refuse))));
     options.damage = Damage::Accept;
     measured(|| drop(decode(&bytes, &options)));
     measured(|| {
