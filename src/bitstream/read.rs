@@ -119,11 +119,8 @@ pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Miss
 
 /// Returns whether the last bytes are the checksum of those before them.
 fn has_own_checksum(header: &Header, rest: &[u8]) -> bool {
-    let Some((contents, stored)) = rest.split_last_chunk() else { return false };
-    let mut hasher = Hasher::new();
-    hasher.update(header.bytes());
-    hasher.update(contents);
-    hasher.finalize() == u32::from_le_bytes(*stored)
+    rest.split_last_chunk()
+        .is_some_and(|(contents, stored)| base_checksum(header.bytes(), contents) == u32::from_le_bytes(*stored))
 }
 
 /// Returns all remaining bytes of `reader`. It reads at most one byte more than `limits` allow.

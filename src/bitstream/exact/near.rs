@@ -178,9 +178,10 @@ impl<'a> Near<'a> {
         near.flat = (0..given.len()).map(|at| near.is_flat(at)).collect();
         near.chosen = near.reduced(cells);
         if let Some(kept) = kept {
-            for at in (0..given.len()).filter(|&at| kept[at / width / CELL * width.div_ceil(CELL) + at % width / CELL])
-            {
-                (near.flat[at], near.chosen[at]) = (true, given[at]);
+            for (at, &color) in given.iter().enumerate() {
+                if kept[near.cell(at)] {
+                    (near.flat[at], near.chosen[at]) = (true, color);
+                }
             }
         }
         near

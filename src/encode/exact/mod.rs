@@ -211,11 +211,7 @@ pub(super) fn encode(
     let pixels = source.part(Rect::new(0, 0, width, height))?;
     let cleaned = Paper::of(source)?.map(|paper| paper.without_noise(&pixels)).transpose()?;
     let shown = cleaned.as_ref().unwrap_or(&pixels);
-    let survey = if cleaned.is_some() {
-        Survey::of(shown, options, &mut report)
-    } else {
-        Survey::of(source, options, &mut report)
-    }?;
+    let survey = Survey::of(shown, options, &mut report)?;
     if survey.is_constant {
         return encode_photograph(source, options, executor, progress);
     }
