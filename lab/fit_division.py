@@ -8,7 +8,7 @@
 PICTURES contains one folder for each set in lab/sets.json. Each picture is encoded at each ratio without a layer and
 with several sizes of the base: factors on the size that the rule gives to a picture without fine texture. The scores
 (SSIMULACRA2) between these factors are interpolated. The command then finds the values of FINE_BASE, FINE_BASE_FALL
-and MIN_FINE_BASE in src/encode/layer/division.rs with which the photographs of the halves for choosing lose least
+and MIN_FINE_BASE in src/encode/allocation.rs with which the photographs of the halves for choosing lose least
 against the best of what was tried (without the minimum share of large, busy photographs), and prints them beside the
 present ones, with the loss on both halves. --table writes what each picture would have had. Encodes are cached, so
 that an interrupted command can be continued. The default needs about 1200 encodes.
@@ -36,19 +36,19 @@ def arguments():
 
 def constants():
     """Returns the constants of the rule, by name."""
-    text = "".join((root / "src/encode/layer" / name).read_text() for name in ["division.rs", "texture.rs"])
+    text = "".join((root / "src" / name).read_text() for name in ["encode/allocation.rs", "encode/texture.rs"])
     found = re.findall(r"const (\w+): (?:f64|\[f64; \d\]) = \[?([\d_., ]+)\]?;", text)
     values = {name: [float(v) for v in value.replace("_", "").split(",")] for name, value in found}
     return {name: value[0] if len(value) == 1 else value for name, value in values.items()}
 
 
 def usual_bytes(pixels, ratio, c):
-    """Returns the bytes of the base of a picture without fine texture: `bytes_of_base` in division.rs."""
+    """Returns the bytes of the base of a picture without fine texture: `bytes_of_base` in allocation.rs."""
     return c["REFERENCE_BASE_BYTES"] * (pixels / c["REFERENCE_PIXELS"]) ** c["BASE_POWER"] * (min(ratio, 100) / 50) ** -c["BASE_FALL"]
 
 
 def factor_of(fineness, ratio, c):
-    """Returns the factor on these bytes for a photograph: `base_factor` in division.rs."""
+    """Returns the factor on these bytes for a photograph: `base_factor` in allocation.rs."""
     low, high = c["FINE_BASE_RATIOS"]
     strength = min(1, max(0, math.log(ratio / low) / math.log(high / low)))
     factor = min(1, max(c["MIN_FINE_BASE"], 1 - c["FINE_BASE_FALL"] * (fineness - c["FINE_BASE"])))

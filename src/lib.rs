@@ -226,7 +226,11 @@ mod depth;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod detail;
 #[cfg(feature = "encode")]
+mod effort;
+#[cfg(feature = "encode")]
 mod encode;
+#[cfg(feature = "encode")]
+mod encoder;
 mod error;
 #[cfg(feature = "encode")]
 mod fit;
@@ -252,9 +256,9 @@ mod pixels;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod quantize;
 mod raster;
-mod rect;
 #[cfg(feature = "encode")]
-mod round;
+mod rdo;
+mod rect;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod simd;
 #[cfg(feature = "quality-hook")]
@@ -273,7 +277,9 @@ pub use bitstream::MissingParts;
 pub use bitstream::splats::{Layout, Metadata};
 pub use decode::{Decoded, Decoder, Reader, SplatImage};
 #[cfg(feature = "encode")]
-pub use encode::{EncodeReport, Encoded, Encoder, Progress, Workers, work_on_tile};
+pub use encode::{EncodeReport, Encoded, Progress, Workers, work_on_tile};
+#[cfg(feature = "encode")]
+pub use encoder::Encoder;
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Gaussians};
 #[cfg(feature = "image")]

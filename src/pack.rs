@@ -7,7 +7,7 @@
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::{self, MAX_COLOR};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
-use crate::encode::drawn::check_opens;
+use crate::encode::render::check_opens;
 use crate::encode::{self, EncodeReport, Encoded, smallest};
 use crate::error::{Error, Result};
 use crate::gaussian::{Gaussian, Gaussians};

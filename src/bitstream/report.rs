@@ -4,9 +4,6 @@ use super::coder::range::Meter;
 #[cfg(any(test, feature = "unstable"))]
 use super::{header::Header, sections::SectionInfo};
 
-/// WebAssembly uses one reader for primitives and reports, which keeps the module small.
-pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
-
 /// Bytes of one part of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Part {

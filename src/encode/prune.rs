@@ -4,35 +4,33 @@ use std::cell::Cell;
 
 use super::file;
 use super::input::stored_scene;
-use super::session::{EncodeSession, Outcome};
-use super::whole::WholeSession;
+use super::state::Outcome;
+use super::whole::WholePicture;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::{Problem, overlap};
-use crate::round::descend::Descent;
-use crate::round::rounded::projected;
+use crate::rdo::descend::Descent;
+use crate::rdo::rounded::projected;
 
-impl WholeSession<'_> {
-    /// Removes primitives as long as the squared error over the fitted samples stays within `max_error`.
-    pub(super) fn pruned(&mut self, outcome: &mut Outcome, max_error: f64) -> Result<()> {
-        if outcome.splats.detail.is_some() {
-            return Ok(());
-        }
-        let clock = self.report.seconds();
-        let problem = Problem { scene: stored_scene(&outcome.splats), target: &self.planes };
-        let time = self.clock;
-        let Some(pruned) = pruned(&problem, &outcome.splats, max_error, &|| time.is_over()) else { return Ok(()) };
-        let file = self.file(&pruned)?;
-        if file.len() < outcome.bytes.len() {
-            outcome.pruned_bytes += (outcome.bytes.len() - file.len()) as u64;
-            (outcome.bytes, outcome.splats) = (file, pruned);
-        }
-        self.report.stage("prune", clock);
-        Ok(())
+/// Removes primitives as long as the squared error over the fitted samples stays within `max_error`.
+pub(super) fn prune(picture: &mut WholePicture<'_>, outcome: &mut Outcome, max_error: f64) -> Result<()> {
+    if outcome.splats.detail.is_some() {
+        return Ok(());
     }
+    let clock = picture.state.report.seconds();
+    let problem = Problem { scene: stored_scene(&outcome.splats), target: &picture.planes };
+    let time = picture.state.clock;
+    let Some(pruned) = pruned(&problem, &outcome.splats, max_error, &|| time.is_over()) else { return Ok(()) };
+    let file = picture.state.file(&pruned)?;
+    if file.len() < outcome.bytes.len() {
+        outcome.pruned_bytes += (outcome.bytes.len() - file.len()) as u64;
+        (outcome.bytes, outcome.splats) = (file, pruned);
+    }
+    picture.state.report.stage("prune", clock);
+    Ok(())
 }
 
 /// Maximum number of pictures that are rendered, times the primitives that cover a pixel of them in the mean. For

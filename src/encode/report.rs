@@ -2,12 +2,57 @@
 
 use std::ops::ControlFlow;
 
+use super::device::Chosen;
 use super::input::EncodeInput;
 use super::skipped::{SkipReason, Skipped};
-use super::trace::Tracer;
+use super::trace::{TracePoint, Tracer};
 use crate::error::{Error, Result};
 use crate::fit::engine::Snapshot;
 use crate::fit::model::objective::planes::Planes;
+
+/// An encoded picture.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Encoded {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// Report of the encode.
+    pub report: EncodeReport,
+}
+
+/// Report of an encode: its result, its cost, and what was skipped.
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
+pub struct EncodeReport {
+    /// Number of primitives in the file.
+    pub primitives: usize,
+    /// Effort of the encode, 1 to 9: the requested one, or a lower one if the time limit is too short for it. It is 0
+    /// if the Gaussians were given.
+    pub effort: u8,
+    /// PSNR of the stored picture against the source in dB, before rounding to code values. It is infinite if they are
+    /// equal. Errors of colours are weighted by the alpha of the source, even if hidden colours are kept.
+    pub psnr: f64,
+    /// PSNR of the picture before quantization, in dB.
+    pub float_psnr: f64,
+    /// SSIMULACRA2 score of the decoded file against the source; `None` unless the target was `Target::Quality`. Pictures
+    /// with a side below 64 pixels are mirrored before they are measured, and samples of 16 bits that use less than an
+    /// eighth of their range are stretched, as described at `Target::Quality`.
+    pub quality: Option<f64>,
+    /// Wall-clock seconds of the encode, excluding tracing.
+    pub seconds: f64,
+    /// Seconds of each stage, in order.
+    pub stages: Vec<StageTime>,
+    /// Everything that the encode skipped, with the reasons.
+    pub skipped: Vec<Skipped>,
+    /// Device that fitted the picture, and the reason for the choice.
+    pub chosen: Chosen,
+    /// Quality during the encode, if it is traced.
+    #[cfg(feature = "unstable")]
+    pub trace: Vec<TracePoint>,
+    #[cfg(not(feature = "unstable"))]
+    #[allow(dead_code, reason = "only tools trace encodes")]
+    pub(crate) trace: Vec<TracePoint>,
+}
 
 /// Progress of an encode.
 #[derive(Debug, Clone, Copy, PartialEq)]

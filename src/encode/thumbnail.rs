@@ -2,17 +2,24 @@
 
 use std::ops::ControlFlow;
 
-use super::drawn::drawn;
+use super::prepared::Prepared;
+use super::render::drawn;
 use super::report::ReportBuilder;
-use super::session::{EncodeSession, Outcome};
-use super::{Encoded, Progress, whole};
+use super::state::Outcome;
+use super::{Encoded, Progress};
 use crate::bitstream::splats::PackedSplats;
+use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
 use crate::options::{Backend, Detail, EncodeOptions, Thumbnail};
 use crate::parameter::Parameter;
+use crate::pixels::Pixels;
 use crate::raster::View;
-use crate::round::size::Size;
+use crate::rdo::size::Size;
 use crate::target::Target;
+
+/// Encodes a picture as a whole. The number is a factor on the iterations of the fit.
+pub(super) type EncodeWhole =
+    fn(&Pixels, &EncodeOptions, f32, &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Encoded>;
 
 /// Longest side of a thumbnail, pixels.
 const MAX_SIDE: u32 = 256;
@@ -26,8 +33,6 @@ const MAX_BYTES: u64 = 4000;
 const HEADER_BYTES: u64 = 1 + 4 + 5 + 4;
 /// Maximum effort of a thumbnail. It takes little work compared with a large picture.
 const EFFORT: u8 = 2;
-/// Factor on the iterations at effort 1, where a thumbnail would take a sixth of the time of 2.8 megapixels.
-const HASTY_ITERATIONS: f32 = 0.3;
 /// Time budget of the encode relative to that of the thumbnail.
 const TIME: u32 = 20;
 
@@ -72,13 +77,15 @@ fn of(
     splats: &PackedSplats,
     max_bytes: u64,
     options: &EncodeOptions,
+    encode: EncodeWhole,
     on_progress: &mut dyn FnMut(f32) -> ControlFlow<()>,
 ) -> Result<Vec<u8>> {
     let whole = View::of_size(splats.width, splats.height);
     let small = drawn(splats, &whole.fitted([MAX_SIDE; 2])?, splats.depth)?;
+    let effort = options.effort;
     let options = EncodeOptions {
         target: Target::Bytes(max_bytes),
-        effort: options.effort.min(EFFORT),
+        effort: effort.min(EFFORT),
         time: options.time.map(|t| t / TIME),
         seed: options.seed,
         tune: options.tune,
@@ -89,8 +96,8 @@ fn of(
         detail: Detail::Off,
         ..EncodeOptions::default()
     };
-    let iterations = if options.effort == 1 { HASTY_ITERATIONS } else { 1.0 };
-    let made = whole::encode(&small, &options, iterations, &mut |p| on_progress(p.done));
+    let iterations = EffortSettings::from_preset(effort).thumbnail_iterations;
+    let made = encode(&small, &options, iterations, &mut |p| on_progress(p.done));
     let Encoded { bytes, .. } = made.map_err(|e| match e {
         Error::TooSmall { .. } => Error::Parameter { parameter: Parameter::Thumbnail, problem: e.to_string() },
         e => e,
@@ -100,26 +107,39 @@ fn of(
 
 /// Returns the part of `size` that remains for the picture, and the size of the thumbnail in bytes. Reserves time for
 /// the thumbnail.
-pub(super) fn reserve_thumbnail<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> (Size, u64) {
+pub(super) fn reserve_thumbnail(prepared: &mut Prepared<'_>, size: Size) -> (Size, u64) {
     let Size::Bytes(max_bytes) = size else { return (size, 0) };
-    let room = room_in(session, max_bytes);
+    let room = room_in(prepared, max_bytes);
     if room > 0 {
-        let time = session.options().time.unwrap_or_default();
-        session.clock().keep(time / TIME);
+        let time = prepared.state().options.time.unwrap_or_default();
+        prepared.state_mut().clock.keep(time / TIME);
     }
     (without_thumbnail(size, room), room)
 }
 
-/// Adds the thumbnail to a file that was made for `size`, if it should have one.
-pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outcome, size: Size) -> Result<()> {
+/// Returns the maximum size in bytes of the thumbnail of a file that was made for `size`. Returns 0 if the file has no
+/// thumbnail.
+pub(super) fn max_bytes(prepared: &Prepared<'_>, outcome: &Outcome, size: Size) -> u64 {
     let bytes = match size {
         Size::Bytes(max_bytes) => max_bytes,
         Size::Free => outcome.bytes.len() as u64,
     };
-    if room_in(session, bytes) > 0 {
-        let (splats, options) = (session.widened(&outcome.splats), session.options().clone());
-        outcome.splats.metadata.thumbnail = for_file(&splats, bytes, &options, session.report())?;
-        outcome.bytes = session.file(&outcome.splats)?;
+    room_in(prepared, bytes)
+}
+
+/// Adds a thumbnail of at most `max_bytes` bytes to a file, if they are not 0.
+pub(super) fn add(
+    prepared: &mut Prepared<'_>,
+    outcome: &mut Outcome,
+    max_bytes: u64,
+    encode: EncodeWhole,
+) -> Result<()> {
+    let state = prepared.state_mut();
+    let splats = state.widened(&outcome.splats);
+    let thumbnail = of_size(&splats, max_bytes, state.options, encode, &mut state.report)?;
+    if thumbnail.is_some() {
+        outcome.splats.metadata.thumbnail = thumbnail;
+        outcome.bytes = state.file(&outcome.splats)?;
     }
     Ok(())
 }
@@ -129,21 +149,31 @@ pub(super) fn for_file(
     splats: &PackedSplats,
     bytes: u64,
     options: &EncodeOptions,
+    encode: EncodeWhole,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Vec<u8>>> {
-    let max_bytes = room(options, [splats.width, splats.height], bytes);
+    of_size(splats, room(options, [splats.width, splats.height], bytes), options, encode, report)
+}
+
+fn of_size(
+    splats: &PackedSplats,
+    max_bytes: u64,
+    options: &EncodeOptions,
+    encode: EncodeWhole,
+    report: &mut ReportBuilder<'_>,
+) -> Result<Option<Vec<u8>>> {
     if max_bytes == 0 {
         return Ok(None);
     }
     let since = report.seconds();
-    let bytes = of(splats, max_bytes, options, &mut |done| {
+    let bytes = of(splats, max_bytes, options, encode, &mut |done| {
         (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
     })?;
     report.stage("thumbnail", since);
     Ok(Some(bytes))
 }
 
-fn room_in<'a, S: EncodeSession<'a>>(session: &S, bytes: u64) -> u64 {
-    let &PackedSplats { width, height, .. } = session.blank();
-    room(session.options(), [width, height], bytes)
+fn room_in(prepared: &Prepared<'_>, bytes: u64) -> u64 {
+    let &PackedSplats { width, height, .. } = &prepared.state().blank;
+    room(prepared.state().options, [width, height], bytes)
 }

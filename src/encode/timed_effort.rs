@@ -7,36 +7,22 @@
 
 use std::time::Duration;
 
-use super::layer::divide::is_search;
-use super::layer::division::has_layer;
-use super::layer::texture::Texture;
+use super::allocation::{has_layer, is_search};
 use super::rate_control::picture_size;
+use super::texture::Texture;
+use crate::effort::{Duration as Expected, EffortSettings};
 use crate::gaussian::Channels;
 use crate::options::EncodeOptions;
 use crate::parallel;
-use crate::round::size::Size;
+use crate::rdo::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
-/// Ratio at which [`SECONDS`] were measured.
+/// Ratio at which the [durations](crate::effort::Duration) of the efforts were measured.
 const MEASURED_RATIO: f64 = 50.0;
 /// Power of the bytes with which the seconds grow at lower ratios. At a ratio of 20, efforts 1, 3 and 5 take 1.2, 1.2
 /// and 1.1 times as long.
 const BYTES_POWER: f64 = 0.2;
-/// Seconds that an effort takes on one thread for a photograph of one megapixel at [`MEASURED_RATIO`], and the power of
-/// the number of pixels with which they grow up to [`LARGE`]. From the means of Kodak and CLIC in
-/// `docs/BENCHMARKS.md`, on an Intel Xeon (model 167 of family 6); efforts 6, 8 and 9 are estimates.
-const SECONDS: [(f64, f64); 9] = [
-    (0.54, 0.82),
-    (1.1, 0.74),
-    (1.75, 0.58),
-    (2.0, 0.51),
-    (2.4, 0.39),
-    (4.0, 0.5),
-    (11.0, 0.34),
-    (20.0, 0.5),
-    (33.0, 0.5),
-];
 /// Megapixels above which the seconds grow in proportion to the pixels.
 const LARGE: f64 = 2.8;
 /// Part of the work that one thread does alone.
@@ -48,7 +34,7 @@ const QUALITY: f64 = 1.3;
 /// Returns the highest effort, up to that of `options`, whose encode of a picture of this size is expected to take no
 /// longer than the time budget; effort 1 if none is. It is that of `options` for a file without a layer. `texture`
 /// measures the texture of a picture that is fitted as a whole, and `slowness` how many times longer this machine takes
-/// than that of [`SECONDS`].
+/// than that of the measurements.
 pub(super) fn affordable(
     [width, height]: [u32; 2],
     channels: Channels,
@@ -77,7 +63,7 @@ pub(super) fn affordable(
     let more_bytes = (MEASURED_RATIO / ratio).max(1.0).strict_powf(BYTES_POWER);
     let factor = slowness() * more_bytes * tries * (SERIAL + (1.0 - SERIAL) / threads);
     let fits = |&effort: &u8| {
-        let (seconds, power) = SECONDS[usize::from(effort) - 1];
+        let Expected { seconds, power } = EffortSettings::from_preset(effort).duration;
         let seconds = seconds * megapixels.min(LARGE).strict_powf(power) * (megapixels / LARGE).max(1.0);
         Duration::try_from_secs_f64(factor * seconds).is_ok_and(|needed| needed <= time)
     };

@@ -24,9 +24,19 @@ pub trait Workers {
 }
 
 /// Where the tiles are processed.
-pub(super) enum Executor<'a> {
+pub(crate) enum Executor<'a> {
     /// By this thread and its pool.
     Own,
     /// By workers of the caller.
     External(&'a mut dyn Workers),
+}
+
+impl Executor<'_> {
+    /// Returns the same executor for a shorter time.
+    pub(super) fn reborrow(&mut self) -> Executor<'_> {
+        match self {
+            Executor::Own => Executor::Own,
+            Executor::External(workers) => Executor::External(&mut **workers),
+        }
+    }
 }

@@ -3,8 +3,6 @@
 //! A [`Job`] describes what to fit, an [`Engine`] takes the steps, and [`fit`] runs the whole process: [`multi_start`]
 //! finds where to start, and [`schedule`] decides what each step does. Nothing here deals with integers or bytes.
 
-#[cfg(all(test, unix))]
-mod coarse;
 mod cpu;
 pub(crate) mod engine;
 pub(crate) mod job;
@@ -16,6 +14,7 @@ pub(crate) mod schedule;
 #[cfg(feature = "smartsplat")]
 pub(crate) mod smartsplat;
 #[cfg(test)]
+#[path = "../../tests/internal/stability.rs"]
 mod stability;
 pub(crate) mod state;
 

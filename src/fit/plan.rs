@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::effort::{BaseFitSettings, FitSettings, HalfSize};
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
@@ -11,13 +12,6 @@ use crate::strict_math::StrictMath;
 /// Fraction of a time budget that the float fit may use.
 const FIT_SHARE: f64 = 0.8;
 
-/// Fractions of the iterations for primitives under a detail layer with perceptual tuning, by effort. At effort 5,
-/// 0.35 gains 0.1 to 0.4 points of SSIMULACRA2 on Kodak and CID22 at ratios of 50 and 100, and nothing at 2.8
-/// megapixels. It takes 28 % more time.
-const BASE_STEPS: [f32; 9] = [0.2, 0.2, 0.2, 0.2, 0.2, 0.235, 0.6, 0.6, 0.6];
-/// The same for minimum squared error: at effort 1, up to effort 6, and from effort 7 on. 1 gains 0.06 dB at ratios of
-/// 20 and 50 and takes 50 % more time.
-const EXACT_BASE_STEPS: [f32; 3] = [0.25, 0.5, 1.0];
 /// Decay rates of the optimizer's moments under a detail layer with perceptual tuning. Compared with 0.9 and 0.95, they
 /// gain 0.1 to 0.2 points of SSIMULACRA2 in these short fits.
 const BASE_DECAY: [f32; 2] = [0.7, 0.9];
@@ -37,43 +31,15 @@ const MIN_BASE_RELOCATION_INTERVAL: u32 = 10;
 const MIN_PIXELS_EACH: f64 = 300.0;
 /// Largest factor by which that picture is downscaled.
 const MAX_REDUCTION: u32 = 4;
-/// First steps at half size at effort 1 under a detail layer, if Gaussians span several pixels.
-const EFFORT_1_BASE_HALF: HalfSize = HalfSize { share: 0.7, row_step: 3 };
-/// The same without a detail layer: with perceptual tuning, and for minimum squared error. On twelve Kodak pictures
-/// with perceptual tuning at a ratio of 200, it takes 0.92 of the CPU time, gains 0.2 points of SSIMULACRA2 and loses
-/// 0.1 dB; at 500 and 1000 it takes 0.8 of the time and gains 0.5 and 0.3 points. On eight of them for squared error,
-/// it takes 0.7 of the time and loses 0.01 dB at 500 and 1000. At 200, where it would lose 0.08 dB, the fit uses full
-/// size.
-const HALF: [HalfSize; 2] = [HalfSize { share: 0.5, row_step: 3 }, HalfSize { share: 0.5, row_step: 6 }];
-/// Minimum effort for the first of them. At effort 1 and a ratio of 200 it would lose 0.8 points and save no time.
-const MIN_PERCEPTUAL_HALF_EFFORT: u8 = 3;
-
 /// Step sizes at the end of a fit, relative to those at the start.
 pub(crate) const LAST_RATE: f32 = 0.02;
-/// The same under a detail layer with perceptual tuning, up to effort 5 and from effort 6 on. The sweep over the
-/// integers that follows compensates for the larger steps. With these values and [`BASE_RELOCATED_SHARES`], Kodak at a
-/// ratio of 50 gains 0.6 points of SSIMULACRA2 at effort 1 and 0.3 at effort 6.
-const BASE_LAST_RATES: [f32; 2] = [0.2, 0.1];
 /// Maximum share of the primitives in each relocation at a steady pace.
 const RELOCATED_SHARE: f32 = 0.1;
-/// The same under a detail layer with perceptual tuning, up to effort 5 and from effort 6 on. Relocations are rarer
-/// there.
-const BASE_RELOCATED_SHARES: [f32; 2] = [0.35, 0.25];
-
 /// Maximum number of steps between relocations.
 const MAX_RELOCATION_INTERVAL: u32 = 25;
 
 /// Number of primitives from which on a picture is among the largest.
 const HUGE_COUNT: usize = 300_000;
-
-/// The first steps of a fit, which use the picture at half size.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct HalfSize {
-    /// Fraction of the steps.
-    pub share: f32,
-    /// Minimum distance of sampled rows. Gaussians span several pixels from there on.
-    pub row_step: u32,
-}
 
 /// The schedule of one encode.
 #[derive(Debug, Clone)]
@@ -150,37 +116,24 @@ pub(crate) enum Pace {
 }
 
 impl Plan {
-    /// Returns the schedule for `effort` (`1..=9`) and `count` primitives on `pixels` pixels. Fewer primitives cost
-    /// less per step and need more steps to find their places.
-    pub(crate) fn new(effort: u8, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
-        let level = usize::from(effort) - 1;
-        // With many primitives, two thirds of the steps that few of them would get are as effective, because the
-        // moments decay faster and many primitives are relocated at first. `--example effort_table` measures it.
+    /// Returns the schedule for `count` primitives on `pixels` pixels. Fewer primitives cost less per step and need more
+    /// steps to find their places.
+    pub(crate) fn new(settings: &FitSettings, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
         let is_dense = count >= BRISK_COUNT;
-        let base = match is_dense {
-            true => [57.0, 94.0, 165.0, 280.0, 500.0, 750.0, 1310.0, 2250.0, 3750.0f32][level],
-            false => [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level],
-        };
         let density = count.max(1) as f32 / 5500.0;
-        // In a short fit of a large picture, a step gains more than the sweep that would take its place.
-        let dense_exponent = match level {
-            0..3 => -0.1,
-            3 => -0.2,
-            _ => -0.3,
-        };
-        let patience = density.strict_powf(if density < 1.0 { -0.95 } else { dense_exponent }).clamp(0.25, 9.0);
+        let exponent = if density < 1.0 { -0.95 } else { settings.dense_exponent };
+        let patience = density.strict_powf(exponent).clamp(0.25, 9.0);
         // On small pictures, 50 % more steps gain 0.1 dB and take only seconds.
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
         let extra = if pixels < LARGE_PIXELS { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
-        let iterations = (base * patience * (1.0 + extra)) as u32;
-        // Small pictures can afford more sweeps. The first sweeps gain most.
-        let sweeps = match count {
-            ..2000 => [4, 5, 5, 6, 7, 9, 13, 17, 20][level],
-            2000..40_000 => [1, 2, 2, 3, 5, 7, 10, 14, 20][level],
-            40_000..HUGE_COUNT => [1, 1, 2, 2, 4, 5, 6, 8, 12][level],
-            _ => [1, 1, 2, 2, 3, 4, 6, 8, 12][level],
-        };
-        let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
+        let iterations = (settings.iterations[usize::from(is_dense)] * patience * (1.0 + extra)) as u32;
+        let sweeps = settings.sweeps[match count {
+            ..2000 => 0,
+            2000..40_000 => 1,
+            40_000..HUGE_COUNT => 2,
+            _ => 3,
+        }];
+        let freezing = if settings.freezes && count > 2000 { iterations / 4 } else { 0 };
         let now = Instant::now();
         let deadline = time.and_then(|t| now.checked_add(t));
         let fit_deadline = time.and_then(|t| now.checked_add(t.mul_f64(FIT_SHARE)));
@@ -191,41 +144,31 @@ impl Plan {
     /// Returns the schedule for primitives under a detail layer, which corrects what a short fit leaves. `ratio` is
     /// that of the complete file. Without it, the fit is that of small files. `patience` is a factor on the iterations
     /// with perceptual tuning.
-    pub(crate) fn for_base(self, effort: u8, tune: Tune, ratio: Option<f64>, patience: f32) -> Self {
+    pub(crate) fn for_base(self, settings: &BaseFitSettings, tune: Tune, ratio: Option<f64>, patience: f32) -> Self {
         let is_exact = tune == Tune::Psnr;
-        let share = match (effort, is_exact) {
-            (_, false) => BASE_STEPS[usize::from(effort) - 1] * patience,
-            (1, true) => EXACT_BASE_STEPS[0],
-            (2..7, true) => EXACT_BASE_STEPS[1] * ratio.map_or(1.0, fine_step_factor),
-            (_, true) => EXACT_BASE_STEPS[2],
+        let share = match ratio {
+            _ if !is_exact => settings.iterations * patience,
+            Some(ratio) if settings.is_longer_in_large_files => settings.exact_iterations * fine_step_factor(ratio),
+            _ => settings.exact_iterations,
         };
         let iterations = (self.iterations as f32 * share) as u32;
         let relocate_every = match is_exact {
             true => Plan::steps(iterations, self.seed).relocate_every,
             false => (iterations / MAX_BASE_RELOCATIONS).clamp(MIN_BASE_RELOCATION_INTERVAL, MAX_RELOCATION_INTERVAL),
         };
-        let sweeps = self.sweeps.min(match effort {
-            1 if !is_exact => 0,
-            1 => 1,
-            2 if !is_exact => 1,
-            2..7 if !is_exact => 2,
-            // After longer fits, the third sweep gains another 0.01 dB.
-            _ => 3,
-        });
-        let half = (effort == 1).then_some(EFFORT_1_BASE_HALF);
-        let is_long = usize::from(effort >= 6);
+        let sweeps = self.sweeps.min(settings.sweeps[usize::from(is_exact)]);
         let (last_rate, relocated_share, decay) = if is_exact {
             (LAST_RATE, RELOCATED_SHARE, None)
         } else {
-            (BASE_LAST_RATES[is_long], BASE_RELOCATED_SHARES[is_long], Some(BASE_DECAY))
+            (settings.last_rate, settings.relocated_share, Some(BASE_DECAY))
         };
+        let half = settings.half;
         Plan { iterations, relocate_every, sweeps, freezing: 0, half, last_rate, relocated_share, decay, ..self }
     }
 
     /// Returns the schedule for a file without a detail layer.
-    pub(crate) fn alone(self, effort: u8, tune: Tune) -> Self {
-        let is_late = tune == Tune::Psnr || effort < MIN_PERCEPTUAL_HALF_EFFORT;
-        Plan { half: Some(HALF[usize::from(is_late)]), ..self }
+    pub(crate) fn alone(self, settings: &FitSettings, tune: Tune) -> Self {
+        Plan { half: Some(if tune == Tune::Psnr { HalfSize::LATE } else { settings.half }), ..self }
     }
 
     /// Returns the schedule of a float fit of `iterations` steps, without freezing or sweeps.
@@ -279,6 +222,7 @@ impl Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effort::EffortSettings;
 
     #[test]
     fn pictures_are_downscaled_only_while_each_primitive_has_enough_pixels() {
@@ -292,8 +236,9 @@ mod tests {
     #[test]
     fn fits_under_a_layer_are_longest_for_squared_error_in_large_files() {
         let steps = |effort, tune, ratio| {
-            let plan = Plan::new(effort, 2000, 393_216, None, 0);
-            plan.for_base(effort, tune, ratio, 1.0).iterations
+            let settings = EffortSettings::from_preset(effort).fit;
+            let plan = Plan::new(&settings, 2000, 393_216, None, 0);
+            plan.for_base(&settings.base, tune, ratio, 1.0).iterations
         };
         for (ratio, extra) in [(20.0, 2.5), (31.6, 1.58), (50.0, 1.0), (100.0, 1.0)] {
             let [usual, asked] = [None, Some(ratio)].map(|ratio| steps(5, Tune::Psnr, ratio) as f32);

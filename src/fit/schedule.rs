@@ -6,6 +6,7 @@ use std::ops::Range;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
+use crate::effort::HalfSize;
 use crate::error::Result;
 use crate::fit::engine::{Ending, Engine, EngineSnapshot, Watcher};
 use crate::fit::job::Job;
@@ -13,7 +14,7 @@ use crate::fit::model::adam::{self, Rates};
 use crate::fit::model::objective::reduced::{Coarse, Reduced};
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::plan::{HalfSize, Pace};
+use crate::fit::plan::Pace;
 use crate::instant::Instant;
 use crate::options::Rung;
 use crate::strict_math::StrictMath;

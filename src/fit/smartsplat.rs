@@ -409,6 +409,7 @@ fn median_color(target: &Planes, place: &Placement) -> [f32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effort::EffortSettings;
     use crate::fit::engine::Snapshot;
     use crate::fit::model::drawing::field::float_error;
     use crate::fit::model::problem::Scene;
@@ -514,7 +515,7 @@ mod tests {
         let target = half_busy(48, 40);
         for blend in [Blend::Sum, Blend::Normalized] {
             let scene = Scene { width: 48, height: 40, blend, background: [0.0; 4] };
-            let plan = Plan::new(1, 40, 48 * 40, None, 3);
+            let plan = Plan::new(&EffortSettings::from_preset(1).fit, 40, 48 * 40, None, 3);
             let problem = Problem { scene, target: &target };
             let mut seen = Errors(Vec::new());
             let state = fit(&Job { problem, count: 40, plan: &plan }, Ablation::Colors, &mut seen);

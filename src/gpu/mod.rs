@@ -20,11 +20,13 @@
 mod device;
 mod fit;
 #[cfg(test)]
+#[path = "../../tests/internal/gpu/fits.rs"]
 mod fit_tests;
 #[cfg(any(test, feature = "unstable"))]
 mod fitted;
 mod kernels;
 #[cfg(test)]
+#[path = "../../tests/internal/gpu/large.rs"]
 mod large;
 mod layer;
 mod lists;
@@ -33,8 +35,10 @@ mod renderer;
 mod scene;
 mod source;
 #[cfg(test)]
+#[path = "../../tests/internal/gpu/kernels.rs"]
 pub(crate) mod tests;
 #[cfg(test)]
+#[path = "../../tests/internal/gpu/twin/mod.rs"]
 mod twin;
 mod workspace;
 

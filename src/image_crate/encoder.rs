@@ -24,7 +24,8 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageForm
 use super::convert::{Rejected, gather};
 use super::decoder::EXTENSION;
 use super::replace::replace;
-use crate::encode::{EncodeReport, Encoder, encode};
+use crate::encode::{EncodeReport, encode};
+use crate::encoder::Encoder;
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::parameter::Parameter;

@@ -1,7 +1,6 @@
 //! Finds the Gaussians that touch each tile, by a counting sort of (Gaussian, tile) pairs. Pairs are counted before
 //! memory is allocated for them.
 
-use super::kernel::{TILE_HEIGHT, TILE_WIDTH};
 use super::project::{Splat, Splats};
 use super::view::View;
 use crate::budget::{Budget, Reservation};
@@ -11,6 +10,12 @@ use crate::parallel;
 use crate::parameter::Limit;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Columns of a tile.
+pub(super) const TILE_WIDTH: usize = 128;
+
+/// Rows of a tile. The recurrence restarts in each tile, which bounds its drift.
+pub(super) const TILE_HEIGHT: usize = 128;
 
 /// Pixels of a tile.
 const TILE_PIXELS: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;

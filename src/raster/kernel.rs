@@ -7,6 +7,7 @@
 //! edge of a support. The kink amounts to several code values where a Gaussian lies alone and its weight is divided by
 //! little more than ε.
 
+use super::bins::{TILE_HEIGHT, TILE_WIDTH};
 use super::overlay::{Additions, SCALE};
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
@@ -14,12 +15,6 @@ use crate::bitstream::detail::levels::SUPER;
 use crate::detail::tile::{StripRow, TilePlanes};
 use crate::gaussian::{Blend, EPSILON, HIDDEN};
 use crate::simd::{LANES, Lanes, Simd, Task};
-
-/// Columns of a tile.
-pub(super) const TILE_WIDTH: usize = 128;
-
-/// Rows of a tile. The recurrence restarts in each tile, which bounds its drift.
-pub(super) const TILE_HEIGHT: usize = 128;
 
 /// Strips of a tile.
 const STRIPS: usize = TILE_WIDTH / LANES;

@@ -8,7 +8,7 @@
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use super::kernel::TILE_WIDTH;
+use super::bins::TILE_WIDTH;
 use super::view::View;
 use crate::bitstream::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, TileLevels, tile_area, tile_counts};

@@ -1,8 +1,8 @@
 //! Renders a view, at once or band by band, on all threads.
 
-use super::bins::Bins;
+use super::bins::{Bins, TILE_HEIGHT, TILE_WIDTH};
 use super::exact::ExactOverlay;
-use super::kernel::{Added, Drawing, Job, Scratch, Source, TILE_HEIGHT, TILE_WIDTH, Window};
+use super::kernel::{Added, Drawing, Job, Scratch, Source, Window};
 use super::overlay::Overlay;
 use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};

@@ -325,6 +325,9 @@ impl Coder for Decoder<'_> {
     }
 }
 
+/// WebAssembly uses one reader for primitives and reports, which keeps the module small.
+pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
+
 /// Forwards decisions and sums their cost.
 #[derive(Debug)]
 pub struct Meter<C> {

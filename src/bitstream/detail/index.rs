@@ -7,7 +7,7 @@ use super::model::{KINDS, Models};
 use super::tile::{self, Count, kinds};
 use crate::bitstream::bytes::Bytes;
 use crate::bitstream::coder::range::Decoder;
-use crate::bitstream::report::ONE_READER;
+use crate::bitstream::coder::range::ONE_READER;
 use crate::bitstream::tile_index::{self, Cursor, Entry, Names, Stream, put_streams};
 use crate::budget::Reservation;
 use crate::error::{Error, Result};

@@ -7,7 +7,7 @@ use crate::bitstream::to_bytes;
 use crate::encode::channels::widen;
 use crate::encode::hidden::inpainted;
 use crate::encode::report::ReportBuilder;
-use crate::encode::whole;
+use crate::encode::steps::encode_whole;
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::options::{Detail, EncodeOptions, HiddenColors, Thumbnail};
@@ -77,7 +77,7 @@ fn photographs(
     let filled = continued(pixels, mask, report)?;
     let since = report.seconds();
     let options = EncodeOptions { thumbnail: Thumbnail::Never, icc: None, exif: None, ..options.clone() };
-    let encoded = match whole::encode(&filled, &options, ITERATIONS, &mut |now| (report.progress)(now)) {
+    let encoded = match encode_whole(&filled, &options, ITERATIONS, &mut |now| (report.progress)(now)) {
         Ok(encoded) => encoded,
         Err(Error::TooSmall { .. }) => return Ok(None),
         Err(error) => return Err(error),

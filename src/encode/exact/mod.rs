@@ -16,25 +16,27 @@ use std::ops::ControlFlow;
 use self::mask::Cover;
 use self::paper::Paper;
 use self::survey::{Survey, equal_neighbours, finished, sampled_rows, sharp_edges, without_hidden};
-use super::drawn::{drawn_like, own_limits};
 #[cfg(feature = "quality-hook")]
-use super::layer::to_quality::predicted_bytes;
+use super::detail::quality_search::predicted_bytes;
 use super::rate_control::picture_size;
+use super::render::{drawn_like, own_limits};
 use super::report::ReportBuilder;
+use super::report::{EncodeReport, Encoded, Progress};
 use super::skipped::SkipReason;
 use super::trace::Tracer;
 use super::workers::Executor;
-use super::{EncodeReport, Encoded, Progress, encode_lossy, thumbnail};
+use super::{steps, thumbnail};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::bitstream::{self, to_bytes};
+use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
 use crate::metrics;
 use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Recipe, Thumbnail, Trace, Tune};
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
+use crate::rdo::size::Size;
 use crate::rect::Rect;
-use crate::round::size::Size;
 #[cfg(feature = "quality-hook")]
 use crate::ssimulacra2::{Reference, ssimulacra2};
 use crate::strict_math::StrictMath;
@@ -112,7 +114,7 @@ const CLOSE: f64 = 0.4;
 /// Encodes a picture that is not stored with near colours.
 ///
 /// # Errors
-/// As [`encode_lossy`] and [`lossless`].
+/// As [`steps::encode`] and [`lossless`].
 pub(super) fn encode_photograph(
     source: &dyn PixelSource,
     options: &EncodeOptions,
@@ -122,7 +124,7 @@ pub(super) fn encode_photograph(
     match options.target {
         #[cfg(feature = "quality-hook")]
         Target::Quality(wanted) if may_choose(options) => to_quality(source, options, wanted, executor, progress),
-        _ => encode_lossy(source, options, executor, progress),
+        _ => steps::encode(source, options, executor, progress),
     }
 }
 
@@ -130,7 +132,7 @@ pub(super) fn encode_photograph(
 /// bytes or if the other file misses the quality.
 ///
 /// # Errors
-/// As [`encode_lossy`] and [`lossless`].
+/// As [`steps::encode`] and [`lossless`].
 #[cfg(feature = "quality-hook")]
 fn to_quality(
     source: &dyn PixelSource,
@@ -142,7 +144,7 @@ fn to_quality(
     if wanted >= LOSSLESS_QUALITY {
         return lossless(source, options, progress);
     }
-    let lossy = encode_lossy(source, options, executor, progress)?;
+    let lossy = steps::encode(source, options, executor, progress)?;
     let is_missed = lossy.report.quality.is_some_and(|found| found < wanted - MISSED);
     let seconds = lossy.report.seconds;
     let is_late = options.time.is_some_and(|time| seconds >= time.as_secs_f64());
@@ -199,7 +201,7 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
 /// without the layer.
 ///
 /// # Errors
-/// As [`encode_lossy`].
+/// As [`steps::encode`].
 pub(super) fn encode(
     source: &dyn PixelSource,
     options: &EncodeOptions,
@@ -256,7 +258,7 @@ pub(super) fn encode(
     };
     let time = options.time.map(|time| time.mul_f64((1.0 - report.seconds() / time.as_secs_f64()).max(MIN_TIME)));
     let lossy_options = EncodeOptions { time, ..options.clone() };
-    let Some(near) = near else { return encode_lossy(source, &lossy_options, executor, report.progress) };
+    let Some(near) = near else { return steps::encode(source, &lossy_options, executor, report.progress) };
     let is_sure = cleaned.is_none() && near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
     let predicted = if is_sure { 0.0 } else { goal.predicted_bytes(&pixels, options) };
     if !is_sure && near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
@@ -286,14 +288,14 @@ fn lossy(
     let progress = &mut *report.progress;
     if let Goal::Bytes(_) = judge.goal {
         let other = dissimilarity(judge.pixels, &near.splats, options)?;
-        if options.effort > QUICK_EFFORT {
+        if EffortSettings::from_preset(options.effort).compares_quickly {
             let quick = EncodeOptions { effort: QUICK_EFFORT, ..options.clone() };
-            let quick = read(&encode_lossy(source, &quick, Executor::Own, progress)?.bytes)?;
+            let quick = read(&steps::encode(source, &quick, Executor::Own, progress)?.bytes)?;
             if dissimilarity(judge.pixels, &quick, options)? > other + MAX_GAIN {
                 return Ok(None);
             }
         }
-        let lossy = encode_lossy(source, options, executor, progress)?;
+        let lossy = steps::encode(source, options, executor, progress)?;
         let own = dissimilarity(judge.pixels, &read(&lossy.bytes)?, options)?;
         return Ok((own <= other).then_some(lossy));
     }
@@ -301,7 +303,7 @@ fn lossy(
     let mut of_same_size = |effort: u8| {
         let (target, thumbnail) = (Target::Bytes(near.bytes.len() as u64), Thumbnail::Never);
         let plain = EncodeOptions { target, effort, thumbnail, icc: None, exif: None, ..options.clone() };
-        read(&encode_lossy(source, &plain, Executor::Own, progress)?.bytes)
+        read(&steps::encode(source, &plain, Executor::Own, progress)?.bytes)
     };
     if let Goal::Psnr(_) = judge.goal
         && !judge.is_met(&of_same_size(options.effort)?)?
@@ -310,13 +312,13 @@ fn lossy(
     }
     #[cfg(feature = "quality-hook")]
     if let Goal::Quality(wanted) = judge.goal
-        && options.effort > QUICK_EFFORT
+        && EffortSettings::from_preset(options.effort).compares_quickly
         && !near.splats.gaussians.is_empty()
         && judge.score(&of_same_size(QUICK_EFFORT)?)? < wanted - MAX_GAINED_POINTS
     {
         return Ok(None);
     }
-    let lossy = encode_lossy(source, options, executor, progress)?;
+    let lossy = steps::encode(source, options, executor, progress)?;
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
         && found < wanted - MISSED

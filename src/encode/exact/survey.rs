@@ -5,11 +5,12 @@ use std::sync::Arc;
 use crate::bitstream::exact::{self, ExactTile};
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::bitstream::{ExactLayer, to_bytes};
-use crate::encode::drawn::check_opens;
 use crate::encode::hidden::hides_colors;
 use crate::encode::input;
+use crate::encode::render::check_opens;
 use crate::encode::report::ReportBuilder;
 use crate::encode::skipped::SkipReason;
+use crate::encode::steps::encode_whole;
 use crate::encode::thumbnail;
 use crate::error::Result;
 use crate::gaussian::{Blend, Channels};
@@ -168,7 +169,7 @@ pub(super) fn finished(
     report: &mut ReportBuilder<'_>,
 ) -> Result<(PackedSplats, Vec<u8>)> {
     let metadata = Metadata {
-        thumbnail: thumbnail::for_file(&splats, bytes.len() as u64, options, report)?,
+        thumbnail: thumbnail::for_file(&splats, bytes.len() as u64, options, encode_whole, report)?,
         icc: options.icc.clone(),
         exif: options.exif.clone(),
         ..Metadata::default()

@@ -1,9 +1,12 @@
 //! Encodes to a requested PSNR: searches for the smallest file that reaches it.
 
 use super::search::{Curve, Known, ScoreGoal, Try};
-use super::{SearchPlan, smallest};
-use crate::encode::session::{EncodeSession, Outcome, decibels};
+use super::{EncodeAt, SearchPlan, smallest};
+use crate::encode::prepared::Prepared;
+use crate::encode::prune::prune;
+use crate::encode::state::{Outcome, decibels};
 use crate::error::{Error, Result};
+use crate::options::Needs;
 use crate::parameter::Parameter;
 use crate::strict_math::StrictMath;
 
@@ -59,23 +62,29 @@ impl Curve for Decibels {
 }
 
 /// Encodes to a PSNR of `wanted` decibels over the samples of all channels.
-pub(super) fn to_psnr<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
-    let raw = session.samples();
+pub(super) fn to_psnr(prepared: &mut Prepared<'_>, wanted: f64, encode_at: EncodeAt) -> Result<Outcome> {
+    let raw = prepared.state().samples();
     let goal =
         ScoreGoal { required: wanted, aimed: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
-    let plan = SearchPlan { curve: Decibels, goal, timed_parts: TIMED_PARTS, known: Known::default() };
-    let score = |session: &mut S, outcome: &Outcome| Ok(decibels(session.error(&outcome.splats)?, raw));
-    let is_close = |_: &S, reached: f64, _: &Outcome| (0.0..TOLERANCE).contains(&(reached - wanted));
-    let (reached, mut best) = smallest(session, plan, score, is_close)?;
+    let plan = SearchPlan { curve: Decibels, goal, timed_parts: TIMED_PARTS, known: Known::default(), encode_at };
+    let score = |prepared: &mut Prepared<'_>, outcome: &Outcome| Ok(decibels(prepared.error(&outcome.splats)?, raw));
+    let is_close = |_: &Prepared<'_>, reached: f64, _: &Outcome| (0.0..TOLERANCE).contains(&(reached - wanted));
+    let (reached, mut best) = smallest(prepared, plan, score, is_close)?;
     if reached < wanted {
-        if session.options().time.is_some() {
+        if prepared.state().options.time.is_some() {
             // The report contains the PSNR that was reached in that time.
             return Ok(best);
         }
         let problem = format!("{wanted} dB cannot be reached: the largest file has {reached:.2} dB");
         return Err(Error::Parameter { parameter: Parameter::Psnr, problem });
     }
-    session.prune(&mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
+    // The contribution of channels that were left out to the error is not known here.
+    if let Prepared::Whole(picture) = prepared
+        && picture.state.options.needs == Needs::Measured
+        && picture.state.fits_all_channels()
+    {
+        prune(picture, &mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
+    }
     Ok(best)
 }
 

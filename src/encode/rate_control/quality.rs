@@ -1,10 +1,14 @@
 //! Encodes to a requested SSIMULACRA2 score: searches for the size, and trims files that exceed the score.
 
 use super::search::{Curve, Known, ScoreGoal, Try};
-use super::{SearchPlan, smallest};
+use super::{EncodeAt, SearchPlan, smallest};
 use crate::bitstream;
-use crate::encode::drawn::own_limits;
-use crate::encode::session::{AtQuality, EncodeSession, Outcome};
+use crate::encode::detail::quality_search::layered_to_quality;
+use crate::encode::prepared::Prepared;
+use crate::encode::render::own_limits;
+use crate::encode::score_curve::{AIM_ABOVE, halvings};
+use crate::encode::state::{AtQuality, Outcome};
+use crate::encode::trim::trim;
 use crate::error::Result;
 use crate::strict_math::StrictMath;
 
@@ -14,39 +18,8 @@ const MAX_TRIES: usize = 6;
 const TIMED_PARTS: u32 = 4;
 /// Points by which a file may miss the requested score.
 const TOLERANCE: f64 = 0.5;
-/// Margin above the requested score that tries aim at, points. Trimming can lower the score without another fit, but
-/// cannot raise it.
-pub(in crate::encode) const AIM_ABOVE: f64 = 0.25;
 /// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
 const MAX_TRIMMED: f64 = 4.0;
-/// Scores that are assumed for a picture until its own are known: halvings of the raw bytes, and points. The values
-/// were measured on Kodak; from a ratio of 20 on, they are means of twelve pictures. Pictures differ mostly by a shift
-/// along the first axis. `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures the curve.
-const TYPICAL_CURVE: [[f64; 2]; 10] = [
-    [0.5, 100.0],
-    [1.5, 97.0],
-    [2.3, 94.5],
-    [3.0, 90.5],
-    [3.9, 82.0],
-    [4.32, 76.1],
-    [5.64, 56.1],
-    [6.64, 36.7],
-    [7.64, 12.7],
-    [8.97, -23.9],
-];
-
-/// Returns the number of halvings at which the typical curve has this score.
-pub(in crate::encode) fn halvings(points: f64) -> f64 {
-    at_points(&TYPICAL_CURVE, points)
-}
-
-/// Returns where a curve of falling points has this many: linear between its knots and beyond them.
-pub(in crate::encode) fn at_points(curve: &[[f64; 2]], points: f64) -> f64 {
-    let next = curve.iter().position(|c| c[1] <= points).unwrap_or(curve.len() - 1).max(1);
-    let [[from, high], [to, low]] = [curve[next - 1], curve[next]];
-    from + (to - from) * (high - points) / (high - low)
-}
-
 /// The typical curve, shifted along the sizes to match a picture. Pictures differ from it mostly by such a shift.
 struct Points;
 
@@ -67,45 +40,61 @@ impl Curve for Points {
 }
 
 /// Encodes to a SSIMULACRA2 score of `wanted` points.
-pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
-    let samples = session.samples();
-    let known = match session.at_quality(wanted)? {
-        AtQuality::Done(outcome) => return as_written(session, *outcome),
-        _ if session.options().has_alternative => return nothing(session),
+pub(super) fn to_quality(prepared: &mut Prepared<'_>, wanted: f64, encode_at: EncodeAt) -> Result<Outcome> {
+    let samples = prepared.state().samples();
+    let known = match at_quality(prepared, wanted)? {
+        AtQuality::Done(outcome) => return as_written(prepared, *outcome),
+        _ if prepared.state().options.has_alternative => return nothing(prepared),
         AtQuality::Expected { bytes, seen } => {
             let size = |bytes: f64| (bytes / samples).strict_log2();
             let tries = seen.iter().map(|&(bytes, score)| Try { size: size(bytes as f64), score }).collect();
-            Known { first: Some(size(bytes + session.fixed()? as f64)), tries }
+            Known { first: Some(size(bytes + prepared.state().fixed()? as f64)), tries }
         }
         AtQuality::Unknown => Known::default(),
     };
     let sizes = super::sizes_tried(samples);
     let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
-    let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS, known };
-    let score = |session: &mut S, outcome: &Outcome| session.score(&outcome.splats);
-    let is_close = |session: &S, score: f64, outcome: &Outcome| {
-        let above = if session.can_be_trimmed(outcome) { MAX_TRIMMED } else { TOLERANCE };
+    let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS, known, encode_at };
+    let score = |prepared: &mut Prepared<'_>, outcome: &Outcome| prepared.score(&outcome.splats);
+    let is_close = |prepared: &Prepared<'_>, score: f64, outcome: &Outcome| {
+        let above = if can_be_trimmed(prepared, outcome) { MAX_TRIMMED } else { TOLERANCE };
         (-TOLERANCE..=above).contains(&(score - wanted))
     };
-    let (found, mut outcome) = smallest(session, plan, score, is_close)?;
+    let (found, mut outcome) = smallest(prepared, plan, score, is_close)?;
     outcome.quality = Some(found);
-    if found > wanted + AIM_ABOVE {
-        session.trim_to_quality(&mut outcome, wanted)?;
+    if let Prepared::Whole(picture) = prepared
+        && found > wanted + AIM_ABOVE
+    {
+        trim(picture, &mut outcome, wanted)?;
     }
-    as_written(session, outcome)
+    as_written(prepared, outcome)
+}
+
+/// Encodes to a score of `wanted` points with one fit, if that is possible for this picture.
+fn at_quality(prepared: &mut Prepared<'_>, wanted: f64) -> Result<AtQuality> {
+    match prepared {
+        Prepared::Whole(picture) => layered_to_quality(picture, wanted),
+        Prepared::Tiled(_) => Ok(AtQuality::Unknown),
+    }
+}
+
+/// Returns whether a file can become smaller by removing single primitives. Their value is not known for files with
+/// levels or a detail layer.
+fn can_be_trimmed(prepared: &Prepared<'_>, outcome: &Outcome) -> bool {
+    matches!(prepared, Prepared::Whole(_)) && outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
 }
 
 /// Measures the score of the file. A decoder renders the Gaussians in the order of the file, which changes the last bits.
-fn as_written<'a, S: EncodeSession<'a>>(session: &mut S, mut outcome: Outcome) -> Result<Outcome> {
+fn as_written(prepared: &mut Prepared<'_>, mut outcome: Outcome) -> Result<Outcome> {
     let written = bitstream::read(&outcome.bytes[..], &own_limits())?;
-    outcome.quality = Some(session.score(&written)?);
+    outcome.quality = Some(prepared.score(&written)?);
     Ok(outcome)
 }
 
 /// Returns a file without primitives, which reaches no quality.
-fn nothing<'a, S: EncodeSession<'a>>(session: &S) -> Result<Outcome> {
-    let splats = session.blank().clone();
-    let bytes = session.file(&splats)?;
+fn nothing(prepared: &Prepared<'_>) -> Result<Outcome> {
+    let splats = prepared.state().blank.clone();
+    let bytes = prepared.state().file(&splats)?;
     Ok(Outcome { bytes, splats, float_error: f64::INFINITY, quality: Some(f64::NEG_INFINITY), pruned_bytes: 0 })
 }
 
@@ -113,16 +102,6 @@ fn nothing<'a, S: EncodeSession<'a>>(session: &S) -> Result<Outcome> {
 mod tests {
     use super::*;
     use crate::encode::rate_control::Search;
-
-    #[test]
-    fn the_typical_curve_decreases_and_passes_through_its_knots() {
-        assert!(TYPICAL_CURVE.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
-        for [at, points] in TYPICAL_CURVE {
-            assert!((halvings(points) - at).abs() < 1e-9, "{points}");
-        }
-        let all: Vec<f64> = (0..=100).map(|q| halvings(f64::from(q))).collect();
-        assert!(all.is_sorted_by(|a, b| a > b) && all[100] < 1.0 && all[0] < 9.0, "{all:?}");
-    }
 
     #[test]
     fn three_tries_are_enough_for_a_picture_with_another_curve() {

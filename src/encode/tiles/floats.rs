@@ -5,8 +5,7 @@ use super::grid::{Shift, Window};
 use super::mosaic::{Placed, TileResult, WindowPrimitives};
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
-use crate::encode::job::excess;
-use crate::encode::rate_control::CODED_BITS;
+use crate::encode::primitive_count::{CODED_BITS, excess};
 use crate::error::Result;
 use crate::fit::engine::{Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
@@ -19,7 +18,7 @@ use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::fit::multi_start::{self, Start};
 use crate::fit::state::State;
-use crate::round::rounded::Rounded;
+use crate::rdo::rounded::Rounded;
 
 /// Fraction of the iterations in which each tile is fitted alone. At that point, fits of many primitives relocate
 /// hardly any, and the steps are still large enough to close the seams.

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::grid::{Area, Window};
 use crate::bitstream::splats::PackedSplats;
+use crate::effort::EffortSettings;
 use crate::encode::device::Choice;
 use crate::error::Result;
 use crate::fit::model::objective::masking::{self, Means};
@@ -119,7 +120,7 @@ impl Survey {
     }
 }
 
-impl<'a> GlobalContext<'a> {
+impl GlobalContext<'_> {
     /// Returns the number of pixels per primitive.
     pub(super) fn room(&self) -> f64 {
         f64::from(self.scene.width) * f64::from(self.scene.height) / self.settings.count.max(1) as f64
@@ -163,8 +164,9 @@ impl<'a> GlobalContext<'a> {
     /// Returns the plan that all windows share.
     pub(super) fn plan(&self) -> Plan {
         let TileSettings { effort, count, is_base, sufficient_error, seed, .. } = self.settings;
-        let plan = Plan { enough: sufficient_error, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
-        if is_base { plan.for_base(effort, self.weights.tune(), None, 1.0) } else { plan }
+        let fit = EffortSettings::from_preset(effort).fit;
+        let plan = Plan { enough: sufficient_error, ..Plan::new(&fit, count, self.scene.pixels(), None, seed) };
+        if is_base { plan.for_base(&fit.base, self.weights.tune(), None, 1.0) } else { plan }
     }
 
     /// Returns the plan for a window, which has its own random seed and deadline.
@@ -180,10 +182,11 @@ impl<'a> GlobalContext<'a> {
     }
 
     /// Returns the context for the picture of `source`, which is the same picture at another size.
-    pub(super) fn at_size_of(self, source: &'a dyn PixelSource) -> Self {
+    pub(super) fn at_size_of<'b>(self, source: &'b dyn PixelSource, device: &'b Choice) -> GlobalContext<'b> {
         let [width, height] = source.size();
         let scene = Scene { width, height, ..self.scene };
         let blank = PackedSplats { width, height, ..self.blank };
-        GlobalContext { source, scene, blank, ..self }
+        let GlobalContext { settings, weights, detail, .. } = self;
+        GlobalContext { source, scene, settings, blank, weights, detail, device }
     }
 }

@@ -10,8 +10,8 @@ use crate::fit::model::drawing::field::{Field, Output, error_within};
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::quantize::Quantizer;
-use crate::round::descend::Descent;
-use crate::round::size::{self, Worth};
+use crate::rdo::descend::Descent;
+use crate::rdo::size::{self, Worth};
 
 /// Number of candidate primitives that are searched for in a tile: a fraction of the primitives in the tile, plus a
 /// constant.

@@ -1,57 +1,74 @@
 //! From the fitted floats of all tiles to integers of a requested file size.
 
+use super::fit::{FittedTiles, MAX_SAMPLED, ProgressRange, TiledFit};
 use super::grid::{Shift, Window};
 use super::mosaic::{Mosaic, Placed, TileResult};
+use super::picture::TiledPicture;
 use super::task::IntegerWork;
-use super::{MAX_SAMPLED, ProgressRange, TiledFit};
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
-use crate::encode::session::{EncodeSession, Outcome};
+use crate::encode::state::{FitRequest, Outcome};
 use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
-use crate::round::size::{Correction, Size, correction};
-use crate::round::size_loop::{IntegerSet, MIN_SWEEPS, SizeSchedule, bring_to_size, trim};
+use crate::rdo::size::{Correction, Size, correction};
+use crate::rdo::size_loop::{IntegerSet, MIN_SWEEPS, SizeSchedule, bring_to_size, trim};
 
-impl TiledFit<'_, '_, '_, '_, '_> {
-    /// Rounds `floats`, whose squared error is `error`, and brings the file to the requested size.
-    pub(super) fn round(mut self, floats: Vec<Primitive>, error: f64) -> Result<Outcome> {
-        let clock = self.session.report.seconds();
-        let float_error = error;
-        let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / MAX_SAMPLED + 1).collect();
-        let quantizer = self.set_steps(&some, error);
-        let to_gaussian = |p: &PackedGaussian| quantizer.dequantize(p);
-        let mut mosaic = Mosaic::new(&self.grid, &to_gaussian);
-        for p in &floats {
-            mosaic.insert(Placed { primitive: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
+/// Rounds Gaussians to a file of the requested size without a detail layer.
+///
+/// # Errors
+/// [`Error::TooSmall`](crate::Error::TooSmall) if the file cannot be that small.
+pub(in crate::encode) fn quantize<'a>(
+    picture: &mut TiledPicture<'a>,
+    fitted: FittedTiles<'a>,
+    request: &FitRequest,
+) -> Result<Outcome> {
+    let clock = picture.state.report.seconds();
+    let FittedTiles { primitives, error: float_error, grid, global, until } = fitted;
+    let fixed = picture.state.fixed()?;
+    let mut fit = TiledFit { picture, grid, global, size: request.size, fixed, until };
+    let sample = primitives.iter().copied().step_by(primitives.len() / MAX_SAMPLED + 1);
+    let quantizer = fit.set_steps(&sample.collect::<Vec<Primitive>>(), float_error);
+    let to_gaussian = |p: &PackedGaussian| quantizer.dequantize(p);
+    let mut mosaic = Mosaic::new(&grid, &to_gaussian);
+    for p in &primitives {
+        mosaic.insert(Placed { primitive: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
+    }
+    drop(primitives);
+    // The size of a base is not corrected, because the detail layer takes all remaining bytes.
+    let (size, limit) = match request.under_layer {
+        Some(layer) => (Size::Free, Size::Bytes(layer.max_bytes)),
+        None => (request.size, request.size),
+    };
+    let sweeps = fit.global.plan().sweeps.max(MIN_SWEEPS);
+    let schedule = SizeSchedule { size, sweeps, descends: true, enough: 0.0, deadline: until };
+    let progress = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
+    let mut integers = TiledIntegers {
+        fit: &mut fit,
+        mosaic,
+        progress,
+        shift: Shift::None,
+        candidates: None,
+        error: None,
+        length: None,
+    };
+    bring_to_size(&mut integers, schedule)?;
+    if let Size::Bytes(max_bytes) = limit {
+        let length = integers.bytes()?;
+        trim(&mut integers, length, max_bytes)?;
+    }
+    let (bytes, splats) = integers.write()?;
+    picture.state.report.stage("finish", clock);
+    match limit {
+        Size::Bytes(max_bytes) if bytes.len() as u64 > max_bytes => {
+            Err(picture.state.too_small(max_bytes, bytes.len() as u64))
         }
-        drop(floats);
-        // The size of a base is not corrected, because the detail layer takes all remaining bytes.
-        let (is_base, limit) = (self.global.settings.is_base, self.limit);
-        let size = if is_base { Size::Free } else { self.size };
-        let sweeps = self.global.plan().sweeps.max(MIN_SWEEPS);
-        let schedule = SizeSchedule { size, sweeps, descends: true, enough: 0.0, deadline: self.until };
-        let progress = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
-        let (fit, shift) = (&mut self, Shift::None);
-        let mut integers = TiledIntegers { fit, mosaic, progress, shift, candidates: None, error: None, length: None };
-        bring_to_size(&mut integers, schedule)?;
-        if let Size::Bytes(max_bytes) = limit {
-            let length = integers.bytes()?;
-            trim(&mut integers, length, max_bytes)?;
-        }
-        let (bytes, splats) = integers.write()?;
-        self.session.report.stage("finish", clock);
-        match limit {
-            Size::Bytes(max_bytes) if bytes.len() as u64 > max_bytes => {
-                Err(self.session.too_small(max_bytes, bytes.len() as u64))
-            }
-            _ => Ok(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 }),
-        }
+        _ => Ok(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 }),
     }
 }
 
 /// The integers of a picture in tiles.
-struct TiledIntegers<'f, 'm, 's, 'a, 'b, 'c, 'g> {
-    fit: &'f mut TiledFit<'s, 'a, 'b, 'c, 'g>,
+struct TiledIntegers<'f, 'm, 's, 'a, 'g> {
+    fit: &'f mut TiledFit<'s, 'a, 'g>,
     mosaic: Mosaic<'m, PackedGaussian>,
     /// The part of the progress that the current round covers.
     progress: ProgressRange,
@@ -65,13 +82,13 @@ struct TiledIntegers<'f, 'm, 's, 'a, 'b, 'c, 'g> {
     length: Option<u64>,
 }
 
-impl TiledIntegers<'_, '_, '_, '_, '_, '_, '_> {
+impl TiledIntegers<'_, '_, '_, '_, '_> {
     /// Writes the file. Returns its bytes and its integers, without the constant channels.
     fn write(&self) -> Result<(Vec<u8>, PackedSplats)> {
-        let session = &*self.fit.session;
+        let state = &self.fit.picture.state;
         let mut splats = self.splats();
-        let bytes = file::smallest(&mut splats, session.options.levels)?;
-        let bytes = if session.fits_all_channels() { bytes } else { session.file(&splats)? };
+        let bytes = file::smallest(&mut splats, state.options.levels)?;
+        let bytes = if state.fits_all_channels() { bytes } else { state.file(&splats)? };
         Ok((bytes, splats))
     }
 
@@ -98,7 +115,7 @@ impl TiledIntegers<'_, '_, '_, '_, '_, '_, '_> {
     }
 }
 
-impl<'m> IntegerSet for TiledIntegers<'_, 'm, '_, '_, '_, '_, '_> {
+impl<'m> IntegerSet for TiledIntegers<'_, 'm, '_, '_, '_> {
     type Snapshot = Mosaic<'m, PackedGaussian>;
 
     fn start_round(&mut self, round: u32, rounds: u32) -> Result<()> {

@@ -17,8 +17,9 @@ use crate::bitstream::bytes::Bytes;
 use crate::bitstream::checksum::hash;
 use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::effort::MAX_EFFORT;
 use crate::encode::device::Choice;
-use crate::encode::rate_control::MAX_PRIMITIVES;
+use crate::encode::primitive_count::MAX_PRIMITIVES;
 use crate::encode::report::Progress;
 use crate::error::{Error, FormatError, Result};
 use crate::fit::model::drawing::project::Primitive;
@@ -354,7 +355,7 @@ fn read_context<'a>(
         *v = read_f32(bytes, "background")?;
     }
     let [effort] = bytes.array("effort")?;
-    if !(1..=9).contains(&effort) {
+    if !(1..=MAX_EFFORT).contains(&effort) {
         return Err(refused("effort", effort.into()));
     }
     let count = u64::from_le_bytes(bytes.array("number of primitives")?);

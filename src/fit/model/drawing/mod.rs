@@ -4,3 +4,4 @@ pub mod field;
 pub mod kernel;
 pub mod project;
 pub mod strips;
+pub mod walk;

@@ -1,8 +1,8 @@
 //! Precomputed strips of all primitives, shared by all passes over one drawing. Finding the rows of the strips, and the
 //! Gaussian in their first row, takes more than a third of the time of a pass.
 
-use crate::fit::model::drawing::kernel::{MIN_BEND, RUN, Rows, Strip, StripBlock, Visit};
 use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::drawing::walk::{MIN_BEND, RUN, Rows, Strip, StripBlock, Visit};
 use crate::fit::model::objective::rows::RowSet;
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};

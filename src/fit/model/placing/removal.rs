@@ -1,9 +1,10 @@
 //! The cost of removing primitives, and the order in which they are least missed.
 
 use crate::fit::model::drawing::field::Field;
-use crate::fit::model::drawing::kernel::{self, Strip, Visit};
+use crate::fit::model::drawing::kernel;
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::drawing::strips;
+use crate::fit::model::drawing::walk::{Strip, Visit};
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::Problem;
 use crate::gaussian::Blend;

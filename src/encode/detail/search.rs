@@ -1,0 +1,299 @@
+//! Finds the quantizer step with which a layer uses its byte budget.
+
+use super::adaptive_quantization::{Masking, activities};
+use super::coefficients::{self, Division};
+use super::partition::blocks;
+use super::residual::TileResidual;
+use super::scaled::{CachedCoefficients, KEPT_TILES};
+use super::settings::{BlockChoice, SearchSettings};
+use super::trellis::{Chosen, choose, priced_blocks};
+use crate::bitstream::detail::DetailLayer;
+use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
+use crate::bitstream::detail::model::{KINDS, PLANES};
+use crate::detail::steps::PlaneSteps;
+use crate::parallel;
+use crate::strict_math::StrictMath;
+
+/// A layer and the bytes that its index and streams take in the file.
+#[derive(Debug, Clone)]
+pub(super) struct Coded {
+    pub layer: DetailLayer,
+    pub bytes: u64,
+    /// Block sizes of each tile, by kind.
+    pub sizes: Vec<[Vec<u8>; KINDS]>,
+}
+
+/// Exponent with which the bytes decrease as the step grows, until two runs have measured it.
+const FALL: f64 = 1.05;
+/// Minimum distance between the logarithms of two steps for measuring that exponent.
+const LEAST_CHORD: f64 = 0.004;
+/// Factor on the maximum number of runs while no layer fits.
+const PATIENCE: u32 = 3;
+/// Bits per level that the first guess assumes.
+const LEVEL_BITS: f64 = 5.0;
+/// Magnitude in steps above which a coefficient is likely to have a level.
+const LIKELY: f32 = 0.8;
+
+/// Codes one residual with several steps, in the same blocks.
+pub(super) struct Coder<'a> {
+    tiles: &'a [TileResidual],
+    settings: &'a SearchSettings,
+    classes: Vec<Vec<u8>>,
+    kept: Vec<CachedCoefficients>,
+    sizes: Option<Vec<BlockSizes>>,
+}
+
+impl<'a> Coder<'a> {
+    /// Prepares to code the layer of `tiles` with about this step. `near` is a layer of nearly the same tiles, whose
+    /// blocks are kept if `settings` says so. Otherwise the first run chooses the blocks.
+    pub(super) fn new(
+        tiles: &'a [TileResidual],
+        settings: &'a SearchSettings,
+        step: f64,
+        near: Option<&Coded>,
+    ) -> Coder<'a> {
+        let activity = activities(tiles, settings);
+        let classes = Masking::new(&activity, settings, step).classes(&activity);
+        let kept = if tiles.len() <= KEPT_TILES { vec![CachedCoefficients::new(); tiles.len()] } else { Vec::new() };
+        let sizes = near.filter(|_| settings.keeps_blocks).map(|near| near.sizes.clone());
+        Coder { tiles, settings, classes, kept, sizes }
+    }
+
+    /// Codes the layer with `step`.
+    pub(super) fn run(&mut self, step: u16) -> Coded {
+        let coded = code(self.tiles, &self.classes, self.settings, step, (self.sizes.as_deref(), &self.kept));
+        self.sizes.get_or_insert_with(|| coded.sizes.clone());
+        coded
+    }
+}
+
+/// Returns the layer of `tiles` with the smallest step that fits, or `None` if none fits. `near` is a layer of nearly
+/// the same tiles. The search starts at its step and keeps its blocks if `settings` says so.
+pub(super) fn search(tiles: &[TileResidual], settings: &SearchSettings, near: Option<&Coded>) -> Option<Coded> {
+    let step = near.map_or_else(
+        || Magnitudes::of(tiles, settings).step_for(settings.max_bytes as f64),
+        |near| f64::from(near.layer.head.step),
+    );
+    let mut coder = Coder::new(tiles, settings, step, near);
+    let Ok(found) = smallest_step(settings, step, |step| Ok::<_, std::convert::Infallible>(coder.run(step)));
+    found
+}
+
+/// Returns the result of `run` with the smallest step whose bytes fit, or `None` if none fits. The search starts at
+/// `step`.
+pub(super) fn smallest_step<E>(
+    settings: &SearchSettings,
+    mut step: f64,
+    mut run: impl FnMut(u16) -> Result<Coded, E>,
+) -> Result<Option<Coded>, E> {
+    let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
+    let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
+    let mut best: Option<Coded> = None;
+    let goal = (settings.max_bytes as f64 * (1.0 - settings.closeness.below)).max(1.0).strict_ln();
+    // While no layer fits, the search continues for longer and with growing increments. This happens in pictures whose
+    // bytes hardly decrease with a larger step.
+    let mut i = 0;
+    while i < settings.max_runs || best.is_none() && i < PATIENCE * settings.max_runs {
+        i += 1;
+        let rounded = step.round().clamp(1.0, 65_535.0);
+        let coded = run(rounded as u16)?;
+        let bytes = coded.bytes + settings.more_parameter_bytes(&coded.layer.head);
+        let at = [rounded.strict_ln(), (bytes as f64).max(1.0).strict_ln()];
+        let short = settings.max_bytes as f64 - bytes as f64;
+        if short >= 0.0 {
+            under = Some(at);
+            if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
+                best = Some(coded);
+            }
+            if short <= settings.max_bytes as f64 * settings.closeness.max_shortfall || rounded <= 1.0 {
+                break;
+            }
+        } else {
+            over = Some(at);
+            if rounded >= 65_535.0 {
+                break;
+            }
+        }
+        if let Some(last) = last.filter(|last| (at[0] - last[0]).abs() > LEAST_CHORD) {
+            fall = ((last[1] - at[1]) / (at[0] - last[0])).clamp(0.5, 2.0);
+        }
+        last = Some(at);
+        let next = match (over, under) {
+            (Some(a), Some(b)) if (b[0] - a[0]).abs() < 2e-3 => break,
+            (Some(a), Some(b)) => {
+                let share = ((goal - a[1]) / (b[1] - a[1])).clamp(0.05, 0.95);
+                // Late runs bisect the interval, in case the curve is too irregular for interpolation.
+                if i > 4 { 0.5 * (a[0] + b[0]) } else { a[0] + share * (b[0] - a[0]) }
+            }
+            (Some(a), None) => a[0] + ((a[1] - goal) / fall).max(0.003) * f64::from(1 << (i / 3).min(8)),
+            (None, Some(b)) => b[0] - ((goal - b[1]) / fall).clamp(0.001, 3.0),
+            (None, None) => break,
+        };
+        step = next.strict_exp();
+    }
+    Ok(best)
+}
+
+/// Codes the layer of `tiles` with the step of the setting, in the blocks of `near`.
+pub(super) fn once(tiles: &[TileResidual], settings: &SearchSettings, near: &Coded) -> Coded {
+    let step = settings.coding.head.step;
+    let activity = activities(tiles, settings);
+    let classes = Masking::new(&activity, settings, step.into()).classes(&activity);
+    code(tiles, &classes, settings, step, (Some(&near.sizes), &[]))
+}
+
+/// Size of the block that each cell of a tile lies in, by kind.
+type BlockSizes = [Vec<u8>; KINDS];
+
+/// Codes the layer with one step, in blocks of the given `sizes` or, without them, in blocks that it chooses. If `kept`
+/// is not empty, it stores the coefficients in these blocks.
+pub(super) fn code(
+    tiles: &[TileResidual],
+    classes: &[Vec<u8>],
+    settings: &SearchSettings,
+    step: u16,
+    (sizes, kept): (Option<&[BlockSizes]>, &[CachedCoefficients]),
+) -> Coded {
+    let coding = settings.setting_at(step);
+    let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
+        let chosen;
+        let sizes = match sizes {
+            Some(sizes) => &sizes[i],
+            None => {
+                chosen = match coding.blocks {
+                    BlockChoice::Rough => blocks(&tiles[i], &classes[i], &coding),
+                    BlockChoice::Priced => priced_blocks(&tiles[i], &classes[i], &coding),
+                };
+                &chosen
+            }
+        };
+        choose(&tiles[i], &classes[i], &coding, sizes, kept.get(i))
+    });
+    let length = |stream: &[u8]| match stream.len() as u64 {
+        0 => 1,
+        bytes => bytes + 2 + u64::from((bytes.ilog2()) / 7 + 1),
+    };
+    let bytes = chosen.iter().map(|tile| length(&tile.stream)).sum();
+    let (mut levels, mut sizes) = (Vec::new(), Vec::new());
+    for tile in chosen {
+        levels.push(tile.levels);
+        sizes.push(tile.sizes);
+    }
+    Coded { layer: DetailLayer { head: coding.head, tiles: levels }, bytes, sizes }
+}
+
+/// The magnitudes of the coefficients of a residual in blocks of 8 and 16, which tell about how many bytes a layer takes.
+pub(super) struct Magnitudes {
+    /// Number of coefficients by the binary logarithm of their magnitude.
+    counts: Vec<u32>,
+}
+
+impl Magnitudes {
+    /// Number of bins per octave.
+    const FINE: f32 = 4.0;
+    const BINS: usize = 128;
+    /// Number of rows of blocks for each row that is counted.
+    const SAMPLED: usize = 4;
+    /// Step in which the coefficients are measured.
+    const UNIT: u16 = 1024;
+
+    pub(super) fn of(tiles: &[TileResidual], settings: &SearchSettings) -> Magnitudes {
+        let mut head = settings.coding.head;
+        (head.step, head.classes) = (Self::UNIT, 1);
+        settings.slopes.apply(&mut head);
+        let bins = parallel::map(tiles.len(), |i| {
+            let tile = &tiles[i];
+            let mut bins = vec![0u32; Self::BINS];
+            let cells = tile.size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
+            for plane in 0..PLANES {
+                let size = if plane == 1 || plane == 2 { 2 } else { 1 };
+                let values = coefficients::plane(tile, plane, Division::Even(size));
+                if values.is_empty() {
+                    continue;
+                }
+                let steps = PlaneSteps::new(&head, plane, 0);
+                let n = CELL << size;
+                for y in (0..cells[1] * CELL).filter(|y| (y / n).is_multiple_of(Self::SAMPLED)) {
+                    for x in 0..cells[0] * CELL {
+                        let step = steps.step(size.into(), x % n, y % n);
+                        let value = values[y * TILE + x].abs() * 4.0 / step as f32;
+                        // The exponent and the first two bits of the mantissa make about four times the binary logarithm.
+                        let bin = ((value.to_bits() >> 21) as usize + Self::BINS / 2)
+                            .saturating_sub(127 << 2)
+                            .min(Self::BINS - 1);
+                        bins[bin] += Self::SAMPLED as u32;
+                    }
+                }
+            }
+            bins
+        });
+        Magnitudes { counts: (0..Self::BINS).map(|bin| bins.iter().map(|b| b[bin]).sum()).collect() }
+    }
+
+    /// Returns about the step with which a layer takes `bytes` bytes.
+    pub(super) fn step_for(&self, bytes: f64) -> f64 {
+        let wanted = bytes * 8.0 / LEVEL_BITS;
+        let mut count = 0.0;
+        let mut bin = Self::BINS - 1;
+        while bin > 0 {
+            count += f64::from(self.counts[bin]);
+            if count > wanted {
+                break;
+            }
+            bin -= 1;
+        }
+        let value = ((bin as f32 + 1.0 - Self::BINS as f32 / 2.0) / Self::FINE).strict_exp2();
+        (f64::from(value / LIKELY) * f64::from(Self::UNIT)).clamp(8.0, 60_000.0)
+    }
+
+    /// Returns about the bytes of a layer with this step.
+    #[cfg(feature = "quality-hook")]
+    pub(super) fn bytes_at(&self, step: f64) -> f64 {
+        let value = step * f64::from(LIKELY) / f64::from(Self::UNIT);
+        let bin = f64::from(Self::FINE) * value.strict_log2() + Self::BINS as f64 / 2.0;
+        let above: f64 = self.counts.iter().skip(bin.ceil().max(0.0) as usize).map(|&n| f64::from(n)).sum();
+        // A part of the bin in which the value lies.
+        let within = self.counts.get(bin.max(0.0) as usize).map_or(0.0, |&n| f64::from(n) * (bin.ceil() - bin));
+        (above + within) * LEVEL_BITS / 8.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::encode::detail::search_settings;
+    use crate::gaussian::Channels;
+    use crate::options::Tune;
+
+    #[test]
+    fn keeping_coefficients_does_not_change_the_bytes() {
+        let settings = SearchSettings { max_bytes: 3000, ..search_settings(Tune::Iq, Channels::Rgb, false) };
+        let plane = |seed: usize| (0..TILE * TILE).map(|i| ((i * seed) % 4001) as f32 - 2000.0).collect::<Vec<f32>>();
+        let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
+        let tiles = [TileResidual { size: [128, 96], planes: [plane(97), plane(89), plane(83), Vec::new()], luma }];
+        let activity = activities(&tiles, &settings);
+        let classes = Masking::new(&activity, &settings, 900.0).classes(&activity);
+        let kept = vec![CachedCoefficients::new(); tiles.len()];
+        let first = code(&tiles, &classes, &settings, 900, (None, &kept));
+        assert!(first.bytes > 100);
+        // These runs use the blocks of the first run, because `kept` holds the coefficients for those blocks.
+        let [with, without] =
+            [&kept[..], &[]].map(|kept| code(&tiles, &classes, &settings, 1200, (Some(&first.sizes), kept)));
+        assert_eq!((with.bytes, with.layer), (without.bytes, without.layer));
+    }
+
+    #[test]
+    fn search_finds_a_step_when_the_bytes_hardly_decrease() {
+        // A picture of waves takes hardly fewer bytes when the step doubles, until it takes none at all.
+        for last in [30.0, 600.0, 9000.0f64] {
+            let settings = SearchSettings { max_bytes: 1000, ..search_settings(Tune::Psnr, Channels::Rgb, false) };
+            let run = |step: u16| {
+                let bytes = if f64::from(step) < last { 1300.0 - 200.0 * f64::from(step) / last } else { 700.0 };
+                let layer = DetailLayer { head: settings.coding.head, tiles: Vec::new() };
+                Ok::<_, std::convert::Infallible>(Coded { layer, bytes: bytes as u64, sizes: Vec::new() })
+            };
+            let Ok(found) = smallest_step(&settings, 20.0, run);
+            assert!(found.is_some_and(|coded| coded.bytes == 700), "{last}");
+        }
+    }
+}
