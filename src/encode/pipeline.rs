@@ -4,15 +4,15 @@ use super::drawn::check_metadata;
 use super::session::{EncodeSession, Outcome, decibels};
 use super::skipped::SkipReason;
 use super::{EncodeReport, Encoded, rate_control};
-use crate::bitstream::splats::PackedSplats;
+use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
 
 /// Encodes as the options request, and reports the result.
 pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     let mut outcome = rate_control::to_target(&mut session)?;
-    let (icc, exif) = (session.options().icc.clone(), session.options().exif.clone());
-    if icc.is_some() || exif.is_some() {
-        (outcome.splats.metadata.icc, outcome.splats.metadata.exif) = (icc, exif);
+    let stored = session.options().stored();
+    if stored != Metadata::default() {
+        outcome.splats.metadata = Metadata { thumbnail: outcome.splats.metadata.thumbnail.take(), ..stored };
         outcome.bytes = session.file(&outcome.splats)?;
     }
     // Only what the written file leaves out counts, not what discarded tries of a search left out.

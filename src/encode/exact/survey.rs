@@ -167,12 +167,8 @@ pub(super) fn finished(
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<(PackedSplats, Vec<u8>)> {
-    let metadata = Metadata {
-        thumbnail: thumbnail::for_file(&splats, bytes.len() as u64, options, report)?,
-        icc: options.icc.clone(),
-        exif: options.exif.clone(),
-        ..Metadata::default()
-    };
+    let metadata =
+        Metadata { thumbnail: thumbnail::for_file(&splats, bytes.len() as u64, options, report)?, ..options.stored() };
     if metadata != Metadata::default() {
         splats.metadata = metadata;
         bytes = to_bytes(&splats)?;
