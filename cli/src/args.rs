@@ -463,6 +463,10 @@ pub struct View {
     /// Print the address of the page without opening a browser
     #[arg(long, conflicts_with = "html")]
     pub no_open: bool,
+    /// End after so many seconds without a request, instead of at Ctrl-C; for desktops, which start the program
+    /// without a terminal
+    #[arg(long, value_name = "SECONDS", conflicts_with = "html", value_parser = clap::value_parser!(u64).range(1..))]
+    pub idle: Option<u64>,
 }
 
 const COMPLETIONS_EXAMPLES: &str = "\
