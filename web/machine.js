@@ -22,10 +22,9 @@ const others = [
 // Tells what the file is, if it is not an .ssplat file.
 function otherKind(bytes) {
   const start = String.fromCharCode(...bytes.subarray(0, 32))
-  if (!bytes.length) return "not an ssplat file: it is empty"
   if ("\x89SSP".startsWith(start.slice(0, 4))) return
-  const known = others.find(([pattern]) => pattern.test(start)), hex = [...bytes.subarray(0, 4)].map(v => v.toString(16).padStart(2, "0"))
-  return `not an ssplat file: it ${known ? `is ${known[1]}` : `begins with ${hex.join(" ")}`}`
+  const known = others.find(([pattern]) => pattern.test(start))
+  return known && `not an ssplat file: it is ${known[1]}`
 }
 
 export class Machine {
