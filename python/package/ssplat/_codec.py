@@ -121,6 +121,9 @@ def encode(
     """
     array, *own = source("image", image)
     own_cicp, own_profile, own_exif = _ssplat.carried(metadata, *own)
+    if cicp is not _KEEP or icc_profile is not _KEEP:
+        # Colours that are given replace all that the picture states.
+        own_cicp, own_profile = None, None
     options = {
         "ratio": real("ratio", ratio),
         "bytes": whole("bytes", bytes),
