@@ -101,17 +101,21 @@ pub fn of_cicp(bytes: [u8; 4], is_grey: bool) -> CodePoints {
             let note = Some("its code points of colours (cICP) are invalid, and are left out");
             CodePoints { note, ..CodePoints::default() }
         }
-        Ok(cicp) if matches!(cicp.transfer(), 16 | 18) || !cicp.is_full_range() => {
-            CodePoints { cicp: Some(cicp), ..CodePoints::default() }
-        }
+        Ok(cicp) if is_beyond_profiles(cicp) => CodePoints { cicp: Some(cicp), ..CodePoints::default() },
         Ok(cicp) => CodePoints { icc: profile_of_cicp(cicp, is_grey), ..CodePoints::default() },
     }
+}
+
+/// Whether the code points are PQ, HLG or of narrow range. moxcms makes profiles of PQ and HLG, whose light has no bound in
+/// them.
+fn is_beyond_profiles(cicp: Cicp) -> bool {
+    matches!(cicp.transfer(), 16 | 18) || !cicp.is_full_range()
 }
 
 /// Returns a profile with the meaning of code points; `None` if no profile can express them.
 pub fn profile_of_cicp(cicp: Cicp, is_grey: bool) -> Option<Vec<u8>> {
     let parse = || {
-        if !cicp.is_full_range() {
+        if is_beyond_profiles(cicp) {
             return None;
         }
         let color_primaries = CicpColorPrimaries::try_from(cicp.primaries()).ok()?;

@@ -119,8 +119,8 @@ def encode(
         CancelledError: ``progress`` returned False.
         KeyboardInterrupt: raised at once; the work in the background ends at its next step.
     """
-    array, *own = source("image", image)
-    own_cicp, own_profile, own_exif = _ssplat.carried(metadata, *own)
+    array, picture_cicp, picture_profile, picture_exif = source("image", image)
+    own_cicp, own_profile, own_exif = _ssplat.carried(metadata, picture_cicp, picture_profile, picture_exif)
     if cicp is not _KEEP or icc_profile is not _KEEP:
         # Colours that are given replace all that the picture states.
         own_cicp, own_profile = None, None
