@@ -293,7 +293,14 @@ fn png(reader: &mut (impl Read + Seek), profiles: Profiles, stated: &mut Stated)
                     let header: [u8; 13] = bytes(reader)?;
                     (is_grey, read) = ([0, 4].contains(&header[9]), 13);
                 }
-                (b"cICP", 4) if !is_after_pixels => (cicp, read) = (Some(bytes::<4>(reader)?), 4),
+                (b"cICP", 4) if !is_after_pixels => {
+                    let found: [u8; 4] = bytes(reader)?;
+                    (cicp, read) = (Some(found), 4);
+                    // The decoder would refuse the picture.
+                    if Cicp::from_bytes(&found).is_err() {
+                        stated.hide(start + 4, HIDDEN_CHUNK)?;
+                    }
+                }
                 (b"gAMA", 4) if !is_after_pixels => {
                     (gamma, read) = (Some(f64::from(u32::from_be_bytes(bytes(reader)?)) / 1e5), 4);
                 }
