@@ -132,6 +132,7 @@ class Header:
         demand(self.finest >= -10, "finest step out of range")
         demand(self.layout != 0 or self.range == 0, "range in the packed layout")
         self.bytes = data[: b.at]
+        self.cicp = None
         # §4
         self.top = min(255, 704 // self.D)
         self.cap = 128 if self.layout < 2 else 4096
@@ -195,7 +196,7 @@ def most_color(halves, luma):
 
 
 def read_sections(b, header, damaged):
-    """Skips all sections except `Dtal` and `Exac`, whose contents it stores in the header. Returns the bytes that the file's checksum covers."""
+    """Skips all sections except `Dtal`, `Exac` and `cicp`, whose contents it stores in the header. Returns the bytes that the file's checksum covers."""
     start, covered, last = b.at, b"", b""
     count = b.varint("section count")
     demand(1 <= count <= 64, "number of sections")
@@ -220,6 +221,11 @@ def read_sections(b, header, damaged):
             raise Illegal(f"unknown critical section {name.decode()}")
         elif not is_right:
             damaged.append(name.decode())
+        elif name == b"cicp":
+            demand(len(contents) == 4, "length of section cicp")
+            demand(contents[2] == 0, "matrix coefficients of section cicp")
+            demand(contents[3] <= 1, "full-range flag of section cicp")
+            header.cicp = tuple(contents)
     detail, exact = header.detail, header.exact
     if detail and exact:
         demand((detail.payload, detail.checksum) == (exact.payload, exact.checksum), "sections of the layers differ")
@@ -1835,6 +1841,8 @@ def read(data, header, notes):
     covered = header.bytes + (read_sections(b, header, damaged) if header.sections else b"")
     demand(zlib.crc32(covered + b.data[b.at :]) == int.from_bytes(data[-4:], "little"), "checksum of the file")
     notes += [f"section {name} is damaged" for name in damaged]
+    if header.cicp:
+        notes.append("code points {} (primaries, transfer, matrix, full range)".format(", ".join(map(str, header.cicp))))
     part = payload(b, header)
     background, primitives = read_primitives(part, header)
     b.at, tiles, exact = part.at, [], []

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::time::Duration;
 
+use crate::bitstream::cicp::Cicp;
 use crate::bitstream::splats::Layout;
 use crate::encode::{Encoded, Executor, Progress, Workers, encode_by};
 use crate::error::Result;
@@ -191,11 +192,19 @@ impl Encoder {
         self
     }
 
-    /// Sets which metadata of the source the files carry. The default is [`MetadataPolicy::Needed`]: the ICC profile
-    /// and the orientation.
+    /// Sets which metadata of the source the files carry. The default is [`MetadataPolicy::Needed`]: the colours and
+    /// the orientation.
     #[must_use]
     pub fn metadata(mut self, metadata: MetadataPolicy) -> Self {
         self.options.metadata = metadata;
+        self
+    }
+
+    /// Sets the code points of the colours of the files, for example [`Cicp::BT2100_PQ`]. They override
+    /// [`metadata`](Encoder::metadata), and take precedence over an ICC profile. The samples are stored as they are.
+    #[must_use]
+    pub fn cicp(mut self, cicp: Cicp) -> Self {
+        self.options.cicp = Some(cicp);
         self
     }
 

@@ -208,6 +208,9 @@ impl fmt::Display for Error {
                 let hint = if *partial { "; Damage::Accept decodes what is there" } else { "" };
                 write!(f, "the file is {e}{hint}")
             }
+            Error::Format(e @ FormatError::BadMagic { found }) if other_kind(*found).is_some() => {
+                write!(f, "not an ssplat file: {e}")
+            }
             Error::Format(e) => write!(f, "not a valid ssplat file: {e}"),
             Error::UnsupportedVersion { found } => write!(f, "format version {found} is not supported"),
             Error::LimitExceeded { limit, requested, allowed } => {
@@ -260,8 +263,13 @@ impl fmt::Display for GpuError {
 impl fmt::Display for FormatError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            FormatError::BadMagic { found } => write!(f, "bad magic {found:02x?}"),
+            // Without `Debug`, which prints nothing in WebAssembly (`web/build`).
+            FormatError::BadMagic { found: found @ [a, b, c, d] } => match other_kind(*found) {
+                Some(kind) => write!(f, "it is {kind}"),
+                None => write!(f, "bad magic [{a:02x}, {b:02x}, {c:02x}, {d:02x}]"),
+            },
             FormatError::Truncated { what, offset } => write!(f, "{what} is cut off at byte {offset}"),
+            FormatError::CutOff { bytes: 0, .. } => write!(f, "empty"),
             FormatError::CutOff { bytes, of: Some(of), .. } => write!(f, "cut off after {bytes} of {of} bytes"),
             FormatError::CutOff { bytes, of: None, .. } => write!(f, "cut off after {bytes} bytes"),
             FormatError::Checksum { what, stored, computed } => {
@@ -269,12 +277,26 @@ impl fmt::Display for FormatError {
             }
             FormatError::BadValue { field, value } => write!(f, "{field} has the illegal value {value}"),
             FormatError::UnknownCriticalSection { name } => {
-                write!(f, "unknown critical section {:?}", String::from_utf8_lossy(name))
+                write!(f, "unknown critical section \"{}\"", name.escape_ascii())
             }
             FormatError::TrailingBytes { count } => write!(f, "{count} bytes left over after the picture"),
             FormatError::Compression { what } => write!(f, "compressed stream of {what} is broken"),
         }
     }
+}
+
+/// Returns what a file is that begins with `start`, for files that are often given instead of an ssplat file. JavaScript
+/// knows more of them, with the same words (`web/machine.js`).
+fn other_kind(start: [u8; 4]) -> Option<&'static str> {
+    Some(match start {
+        [b'<', ..] | [b' ' | b'\t' | b'\r' | b'\n', b'<', ..] => "HTML or XML; is the path right?",
+        [0x89, b'P', b'N', b'G'] => "a PNG picture",
+        [0xFF, 0xD8, 0xFF, _] => "a JPEG picture",
+        [b'G', b'I', b'F', b'8'] => "a GIF picture",
+        [b'v', b'e', b'r', b's'] => "a pointer of Git LFS",
+        [0x1F, 0x8B, ..] => "compressed with gzip",
+        _ => return None,
+    })
 }
 
 /// Prints a non-negative number with at most three decimals, using integer arithmetic. The standard formatting of
@@ -359,6 +381,16 @@ mod tests {
                 assert!(error.to_string().contains(&source.to_string()), "{error} {source}");
             }
         }
+    }
+
+    #[test]
+    fn files_of_other_kinds_are_named() {
+        let told = |found: &[u8; 4]| Error::from(FormatError::BadMagic { found: *found }).to_string();
+        assert_eq!(told(b"\x89PNG"), "not an ssplat file: it is a PNG picture");
+        assert_eq!(told(b"\n<!d"), "not an ssplat file: it is HTML or XML; is the path right?");
+        assert_eq!(told(b"\x09SSP"), "not a valid ssplat file: bad magic [09, 53, 53, 50]");
+        let name = *b"Newx";
+        assert_eq!(FormatError::UnknownCriticalSection { name }.to_string(), "unknown critical section \"Newx\"");
     }
 
     #[test]

@@ -274,6 +274,7 @@ mod used_range;
 mod weighting;
 
 pub use bitstream::MissingParts;
+pub use bitstream::cicp::Cicp;
 pub use bitstream::splats::{Layout, Metadata};
 pub use decode::{Decoded, Decoder, Reader, SplatImage};
 #[cfg(feature = "encode")]

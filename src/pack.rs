@@ -228,7 +228,7 @@ fn blank(picture: &Gaussians, layout: Layout, steps: Steps) -> Result<PackedSpla
 /// Returns the integers and their file.
 fn packed(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<(PackedSplats, Vec<u8>)> {
     let mut splats = blank(picture, options.layout, steps)?;
-    (splats.metadata.icc, splats.metadata.exif) = (options.icc.clone(), options.exif.clone());
+    splats.metadata = options.stored();
     let quantizer = splats.quantizer();
     let color = |of: &dyn Fn() -> String, color: [f32; 4]| {
         let axes = quantizer.transform_color(color);

@@ -18,6 +18,8 @@ pub enum Parameter {
     Blend,
     /// Size of the file, or the bytes of a task or an answer.
     Bytes,
+    /// Code points of colours.
+    Cicp,
     /// Colour of a Gaussian.
     Color,
     /// Colour type of a picture of the `image` crate.
@@ -95,6 +97,7 @@ impl Parameter {
             Parameter::Background => "background",
             Parameter::Blend => "blend",
             Parameter::Bytes => "bytes",
+            Parameter::Cicp => "cicp",
             Parameter::Color => "color",
             Parameter::ColorType => "color type",
             Parameter::Detail => "detail",

@@ -49,7 +49,7 @@ export function score(module, job, most = job.alloc) {
   })
 }
 
-// Encodes `job`: { width, height, channels, depth, data, alloc, icc, exif, orientation, settings }. `scorer` is the module of SSIMULACRA2,
+// Encodes `job`: { width, height, channels, depth, data, alloc, icc, exif, cicp, orientation, settings }. `scorer` is the module of SSIMULACRA2,
 // which only an encode to a quality needs. `progress` receives a stage and the fraction of it that is done; the encode stops if it returns
 // true.
 export function run({ module, scorer, job }, progress) {
@@ -66,7 +66,7 @@ export function run({ module, scorer, job }, progress) {
   }
   const instance = start(module, job, alloc, host), { wasm, memory } = instance
   return guarded(instance, job, alloc, () => {
-    for (const [which, bytes] of [job.data, job.icc, job.exif].entries()) put(instance, job, which, bytes)
+    for (const [which, bytes] of [job.data, job.icc, job.exif, job.cicp].entries()) if (which < 3 || bytes) put(instance, job, which, bytes)
     for (const [name, value] of Object.entries(job.settings))
       wasm.set(settings.indexOf(name), words[name] ? words[name].indexOf(value) : value)
     const kind = wasm.encode(width, height, channels, depth, job.orientation)

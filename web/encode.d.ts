@@ -45,6 +45,8 @@ export interface EncodeOptions {
   detail?: "auto" | "off"
   /** 1 to 8 progressive levels. */
   levels?: number
+  /** Code points of the colours by ITU-T H.273: primaries, transfer characteristics, 0, and 1 for full range; `[9, 16, 0, 1]` is BT.2020 with PQ. */
+  cicp?: number[] | Uint8Array | ArrayBuffer
   /** ICC profile to store; without one, pixels are sRGB. */
   icc?: Uint8Array | ArrayBuffer
   /** EXIF block to store, starting with its TIFF header. */

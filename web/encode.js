@@ -6,7 +6,7 @@ import { run, score } from "./encode-machine.js"
 export { SsplatError, names as optionNames }
 
 const targets = ["ratio", "bytes", "psnr", "quality", "primitives", "lossless"]
-const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "scoreModule", "signal", "onProgress"]
+const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "cicp", "icc", "exif", "orientation", "limits", "worker", "module", "scoreModule", "signal", "onProgress"]
 // The quality of a file for which no target is given, as in the program.
 const defaultQuality = 70
 const bad = words => { throw new SsplatError("parameter", words) }
@@ -110,10 +110,11 @@ function jobOf(pixels, options) {
   }
   word("tune", "psnr", "ssim", "iq")
   word("detail", "auto", "off")
+  const cicp = bytesOf("cicp", Array.isArray(options.cicp) ? Uint8Array.from(options.cicp) : options.cicp)
   const icc = bytesOf("icc", options.icc), exif = bytesOf("exif", options.exif)
   const orientation = within("orientation", options.orientation ?? 1, 1, 8)
   if (exif && options.orientation != null) bad("exif and orientation are given, of which a file can have one")
-  return { ...samplesOf(pixels), icc, exif, orientation, settings, alloc: allocOf(options) }
+  return { ...samplesOf(pixels), cicp, icc, exif, orientation, settings, alloc: allocOf(options) }
 }
 
 // Returns a worker of the browser or of Node.js, or one created by `make` in a browser, with a common interface.

@@ -22,10 +22,9 @@ const others = [
 // Tells what the file is, if it is not an .ssplat file.
 function otherKind(bytes) {
   const start = String.fromCharCode(...bytes.subarray(0, 32))
-  if (!bytes.length) return "not an ssplat file: it is empty"
   if ("\x89SSP".startsWith(start.slice(0, 4))) return
-  const known = others.find(([pattern]) => pattern.test(start)), hex = [...bytes.subarray(0, 4)].map(v => v.toString(16).padStart(2, "0"))
-  return `not an ssplat file: it ${known ? `is ${known[1]}` : `begins with ${hex.join(" ")}`}`
+  const known = others.find(([pattern]) => pattern.test(start))
+  return known && `not an ssplat file: it is ${known[1]}`
 }
 
 export class Machine {
@@ -62,7 +61,7 @@ export class Machine {
       }
       if (kind) throw new SsplatError(kinds[kind], kinds[kind] == "format" && otherKind(bytes) || new TextDecoder().decode(piece(0)))
       const numbers = Array.from({ length: 9 }, (_, k) => wasm.number(k) >>> 0)
-      return [[piece(0, options.into), piece(1), piece(2), piece(3), piece(4)], numbers]
+      return [[piece(0, options.into), piece(1), piece(2), piece(3), piece(4), piece(5)], numbers]
     } catch (error) {
       if (error instanceof SsplatError) throw error
       // A trap leaves the machine in an unknown state. The most likely cause is that memory ran out.
@@ -75,8 +74,8 @@ export class Machine {
   }
 
   header(bytes, options = {}) {
-    const [[thumbnail, icc, exif], [width, height, channels, depth, primitives, orientation]] = this.#ask(bytes, options, "header")
-    return { width, height, channels, depth, primitives, orientation, thumbnail, icc, exif }
+    const [[thumbnail, icc, exif, , , cicp], [width, height, channels, depth, primitives, orientation]] = this.#ask(bytes, options, "header")
+    return { width, height, channels, depth, primitives, orientation, thumbnail, cicp, icc, exif }
   }
 
   decode(bytes, options = {}) {
@@ -90,10 +89,10 @@ export class Machine {
       const { width: columns, height: rows } = region ? { width: part[2], height: part[3] } : this.header(bytes, { limits: options.limits })
       out[0] = Math.max(1, Math.round(columns * out[1] / rows))
     }
-    const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
+    const [[data, icc, exif, , , cicp], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
     const [columns, rows, channels, depth, primitives, orientation, missing, missingTiles, damaged] = numbers
     const samples = new Uint8ClampedArray(data.buffer, 0, data.length)
-    return { width: columns, height: rows, data: samples, channels, depth, primitives, orientation, missing, missingTiles, damaged: damaged == 1, icc, exif }
+    return { width: columns, height: rows, data: samples, channels, depth, primitives, orientation, missing, missingTiles, damaged: damaged == 1, cicp, icc, exif }
   }
 
   gaussians(bytes, options = {}) {
@@ -103,9 +102,9 @@ export class Machine {
   }
 
   info(bytes, options = {}) {
-    const [[json, icc, exif, each, cells], numbers] = this.#ask(bytes, options, "info")
+    const [[json, icc, exif, each, cells, cicp], numbers] = this.#ask(bytes, options, "info")
     const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
     const [detail, exact] = [/detail layer/, /exact layer/].map(layer => facts.parts.reduce((sum, { name, bytes }) => layer.test(name) ? sum + bytes : sum, 0))
-    return { ...facts, detail, exact, fields, each: new Float32Array(each.buffer), cells, orientation: numbers[5], icc, exif }
+    return { ...facts, detail, exact, fields, each: new Float32Array(each.buffer), cells, orientation: numbers[5], cicp, icc, exif }
   }
 }

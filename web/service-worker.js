@@ -66,8 +66,8 @@ const walks = [
   () => [0, 1, 1], (w, h) => [w * (h - 1), -1, 1], (w, h) => [w * h - 1, -1, -1], w => [w - 1, 1, -1],
 ]
 
-// Returns a picture of the decoder as PNG: upright, with its ICC profile, and without channels that it does not have.
-export function png({ width, height, data, channels, orientation, icc }) {
+// Returns a picture of the decoder as PNG: upright, with its code points and ICC profile, and without channels that it does not have.
+export function png({ width, height, data, channels, orientation, cicp, icc }) {
   const isTurned = orientation > 4, [columns, rows] = isTurned ? [height, width] : [width, height]
   const [first, x, y] = (walks[orientation] ?? walks[1])(width, height), right = isTurned ? x * width : x, down = isTurned ? y : y * width
   const samples = [, [0], [0, 3], [0, 1, 2], [0, 1, 2, 3]][channels], lines = new Uint8Array(rows * (1 + columns * channels))
@@ -79,8 +79,9 @@ export function png({ width, height, data, channels, orientation, icc }) {
       for (let k = 0; k < channels; k++) lines[to++] = data[from + samples[k]]
   }
   const header = Uint8Array.of(...long(columns), ...long(rows), 8, [, 0, 4, 2, 6][channels], 0, 0, 0)
+  const codePoints = cicp?.length ? chunk("cICP", [cicp]) : []
   const profile = icc?.length ? chunk("iCCP", [latin("ICC\0\0"), ...stored(icc)]) : []
-  return new Blob([latin("\x89PNG\r\n\x1a\n"), ...chunk("IHDR", [header]), ...profile, ...chunk("IDAT", stored(lines)), ...chunk("IEND", [])], { type: "image/png" })
+  return new Blob([latin("\x89PNG\r\n\x1a\n"), ...chunk("IHDR", [header]), ...codePoints, ...profile, ...chunk("IDAT", stored(lines)), ...chunk("IEND", [])], { type: "image/png" })
 }
 
 // Decodes one file at a time, to bound the memory.

@@ -285,7 +285,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   // Renders the available part of an incomplete file.
   async #glimpse(bytes, signal) {
     // Too short a part cannot be rendered; errors are reported when the file is complete.
-    const { width, height, orientation, thumbnail, icc, ...kind } = await decoder().header(bytes).catch(() => ({}))
+    const { width, height, orientation, thumbnail, cicp, icc, ...kind } = await decoder().header(bytes).catch(() => ({}))
     if (!width || signal.aborted || this.#file) return
     this.#size = orientation > 4 ? [height, width] : [width, height]
     this.#shape()
@@ -294,7 +294,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     if (thumbnail.length && (!image || image.missing == image.primitives)) {
       const small = await draw(thumbnail, { height: Math.max(1, Math.round(wanted * height / width)) })
       // The thumbnail has the profile of the picture.
-      image = small?.channels == kind.channels && small.depth == kind.depth ? new ImageData(small.data, small.width, small.height, { colorSpace: colorSpace(icc) }) : undefined
+      image = small?.channels == kind.channels && small.depth == kind.depth ? new ImageData(small.data, small.width, small.height, { colorSpace: colorSpace(icc, cicp) }) : undefined
     }
     if (!image || signal.aborted || this.#file || image.primitives && image.missing == image.primitives) return
     paint(this.#canvas, image, orientation)

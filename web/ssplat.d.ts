@@ -55,6 +55,8 @@ export interface Header {
   orientation: number
   /** The thumbnail as a file; empty if there is none. */
   thumbnail: Uint8Array
+  /** Code points by ITU-T H.273: primaries, transfer characteristics, 0, and 1 for full range. Empty if there are none. They take precedence over `icc`. */
+  cicp: Uint8Array
   /** Empty if there is none. */
   icc: Uint8Array
   /** Empty if there is none. */
@@ -67,6 +69,7 @@ export type Pixels = ImageData & {
   depth: 8 | 16
   primitives: number
   orientation: number
+  cicp: Uint8Array
   icc: Uint8Array
   exif: Uint8Array
   /** Primitives that `partial` could not read. */
@@ -125,6 +128,7 @@ export interface Info {
   /** Which cells of 8 × 8 pixels the exact layer covers, row by row: 1 or 0 each; empty without an exact layer. */
   cells: Uint8Array
   orientation: number
+  cicp: Uint8Array
   icc: Uint8Array
   exif: Uint8Array
 }
@@ -160,5 +164,5 @@ export function gaussians(bytes: Bytes, options?: { limits?: Limits }): Promise<
 export function info(bytes: Bytes, options?: { limits?: Limits }): Promise<Info>
 /** Compiles the WebAssembly, so that several decoders can share it. */
 export function compile(source?: Source): Promise<WebAssembly.Module>
-/** Returns the canvas colour space for an ICC profile. */
-export function colorSpace(icc?: Uint8Array): "srgb" | "display-p3"
+/** Returns the canvas colour space for an ICC profile and code points, which take precedence. */
+export function colorSpace(icc?: Uint8Array, cicp?: Uint8Array): "srgb" | "display-p3"

@@ -6,10 +6,10 @@ import { colorSpace } from "./icc.js"
 
 export { SsplatError, compile, colorSpace }
 
-// Returns pixels as ImageData if it exists, in the canvas colour space for the profile of the file.
+// Returns pixels as ImageData if it exists, in the canvas colour space for the colours of the file.
 function asImage({ data, width, height, ...facts }) {
-  if (typeof ImageData == "undefined") return { data, width, height, colorSpace: colorSpace(facts.icc), ...facts }
-  return Object.assign(new ImageData(data, width, height, { colorSpace: colorSpace(facts.icc) }), facts)
+  if (typeof ImageData == "undefined") return { data, width, height, colorSpace: colorSpace(facts.icc, facts.cicp), ...facts }
+  return Object.assign(new ImageData(data, width, height, { colorSpace: colorSpace(facts.icc, facts.cicp) }), facts)
 }
 
 // Checks the names of options; an unknown name is an error of the caller.

@@ -201,6 +201,11 @@ typedef enum ssplat_metadata {
    * A small picture, as a .ssplat file.
    */
   SSPLAT_METADATA_THUMBNAIL = 2,
+  /**
+   * Four bytes that state the colours by ITU-T H.273, for example PQ or HLG: primaries, transfer characteristics,
+   * matrix coefficients (0), and 1 for full range. They take precedence over the ICC profile.
+   */
+  SSPLAT_METADATA_CICP = 3,
 } ssplat_metadata;
 
 /**
@@ -711,8 +716,9 @@ enum ssplat_status ssplat_encoder_set_target(struct ssplat_encoder *encoder, int
 enum ssplat_status ssplat_encoder_set_option(struct ssplat_encoder *encoder, int option, int64_t value);
 
 /**
- * Sets the ICC profile (SSPLAT_METADATA_ICC) or the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) of the
- * files that follow. The bytes are copied; size 0 takes them away. They count as bytes of the file. Files hold no XMP.
+ * Sets the ICC profile (SSPLAT_METADATA_ICC), the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) or the code
+ * points of colours (SSPLAT_METADATA_CICP, four bytes) of the files that follow. The bytes are copied; size 0 takes them
+ * away. They count as bytes of the file. Files hold no XMP.
  */
 enum ssplat_status ssplat_encoder_set_metadata(struct ssplat_encoder *encoder,
                                                int which,
@@ -902,8 +908,9 @@ enum ssplat_status ssplat_encoder_set_target(struct ssplat_encoder *encoder, int
 enum ssplat_status ssplat_encoder_set_option(struct ssplat_encoder *encoder, int option, int64_t value);
 
 /**
- * Sets the ICC profile (SSPLAT_METADATA_ICC) or the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) of the
- * files that follow. The bytes are copied; size 0 takes them away. They count as bytes of the file. Files hold no XMP.
+ * Sets the ICC profile (SSPLAT_METADATA_ICC), the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) or the code
+ * points of colours (SSPLAT_METADATA_CICP, four bytes) of the files that follow. The bytes are copied; size 0 takes them
+ * away. They count as bytes of the file. Files hold no XMP.
  */
 enum ssplat_status ssplat_encoder_set_metadata(struct ssplat_encoder *encoder,
                                                int which,

@@ -74,6 +74,9 @@ pub enum ssplat_metadata {
     Exif = 1,
     /// A small picture, as a .ssplat file.
     Thumbnail = 2,
+    /// Four bytes that state the colours by ITU-T H.273, for example PQ or HLG: primaries, transfer characteristics,
+    /// matrix coefficients (0), and 1 for full range. They take precedence over the ICC profile.
+    Cicp = 3,
 }
 
 /// Facts about a file.
@@ -397,6 +400,7 @@ pub unsafe extern "C" fn ssplat_decoder_metadata(
             0 => metadata.icc,
             1 => metadata.exif,
             2 => metadata.thumbnail,
+            3 => metadata.cicp.map(|cicp| cicp.to_bytes().to_vec()),
             _ => return Err(Failure::parameter(format_args!("there is no metadata {which}"))),
         };
         let found = found.unwrap_or_default();

@@ -138,8 +138,9 @@ pub unsafe extern "C" fn ssplat_encoder_set_option(
     unsafe { enter(encoder, |held: &mut State| held.encoding.set_option(option, value)) }
 }
 
-/// Sets the ICC profile (SSPLAT_METADATA_ICC) or the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) of the
-/// files that follow. The bytes are copied; size 0 takes them away. They count as bytes of the file. Files hold no XMP.
+/// Sets the ICC profile (SSPLAT_METADATA_ICC), the EXIF block (SSPLAT_METADATA_EXIF, from its TIFF header on) or the code
+/// points of colours (SSPLAT_METADATA_CICP, four bytes) of the files that follow. The bytes are copied; size 0 takes them
+/// away. They count as bytes of the file. Files hold no XMP.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ssplat_encoder_set_metadata(
     encoder: *mut ssplat_encoder,

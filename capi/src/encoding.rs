@@ -6,7 +6,7 @@ use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use rayon::ThreadPoolBuilder;
-use ssplat::{Detail, EncodeReport, Encoded, Encoder, Error, HiddenColors, Pixels, Target, Thumbnail, Tune};
+use ssplat::{Cicp, Detail, EncodeReport, Encoded, Encoder, Error, HiddenColors, Pixels, Target, Thumbnail, Tune};
 
 use crate::failure::{Failure, Outcome, ssplat_status};
 
@@ -87,6 +87,7 @@ pub struct Encoding {
     time: Option<Duration>,
     tune: Option<Tune>,
     tiles: Option<u32>,
+    cicp: Option<Cicp>,
     icc: Option<Vec<u8>>,
     exif: Option<Vec<u8>>,
     /// 0 is one per core.
@@ -165,11 +166,16 @@ impl Encoding {
         Ok(())
     }
 
-    /// Sets the ICC profile or the EXIF block of the files; no bytes take it away.
+    /// Sets the code points, the ICC profile or the EXIF block of the files; no bytes take it away.
     pub fn set_metadata(&mut self, which: i32, bytes: &[u8]) -> Outcome<()> {
         let slot = match which {
             0 => &mut self.icc,
             1 => &mut self.exif,
+            3 => {
+                let parsed = if bytes.is_empty() { None } else { Some(Cicp::from_bytes(bytes)) };
+                self.cicp = parsed.transpose().map_err(Failure::parameter)?;
+                return Ok(());
+            }
             _ => return Err(Failure::parameter(format_args!("the encoder stores no metadata {which}"))),
         };
         *slot = None;
@@ -197,6 +203,9 @@ impl Encoding {
         }
         if let Some(side) = self.tiles {
             encoder = encoder.tiles(side);
+        }
+        if let Some(cicp) = self.cicp {
+            encoder = encoder.cicp(cicp);
         }
         if let Some(icc) = &self.icc {
             encoder = encoder.icc(icc.clone());

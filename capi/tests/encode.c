@@ -164,6 +164,17 @@ static void targets_and_metadata(ssplat_encoder *encoder, ssplat_decoder *decode
     CHECK(ssplat_decoder_info(decoder, &info) == SSPLAT_STATUS_OK && info.orientation == 6 && info.channels == 3);
     CHECK(ssplat_decoder_metadata(decoder, SSPLAT_METADATA_ICC, copy, sizeof copy, &length) == SSPLAT_STATUS_OK);
     CHECK(length == sizeof profile && !memcmp(copy, profile, length));
+    /* Code points: BT.2020 primaries, PQ. */
+    const unsigned char hdr[] = {9, 16, 0, 1}, ycbcr[] = {9, 16, 9, 1};
+    CHECK(ssplat_encoder_set_metadata(encoder, SSPLAT_METADATA_CICP, hdr, sizeof hdr) == SSPLAT_STATUS_OK);
+    CHECK(ssplat_encoder_set_metadata(encoder, SSPLAT_METADATA_CICP, ycbcr, sizeof ycbcr) == SSPLAT_STATUS_PARAMETER);
+    CHECK(ssplat_encoder_set_metadata(encoder, SSPLAT_METADATA_CICP, hdr, 3) == SSPLAT_STATUS_PARAMETER);
+    first.length = 0;
+    CHECK(ssplat_encoder_encode(encoder, &pixels, append, &first) == SSPLAT_STATUS_OK);
+    CHECK(ssplat_decoder_open_memory(decoder, first.bytes, first.length) == SSPLAT_STATUS_OK);
+    CHECK(ssplat_decoder_metadata(decoder, SSPLAT_METADATA_CICP, copy, sizeof copy, &length) == SSPLAT_STATUS_OK);
+    CHECK(length == sizeof hdr && !memcmp(copy, hdr, length));
+    CHECK(ssplat_encoder_set_metadata(encoder, SSPLAT_METADATA_CICP, NULL, 0) == SSPLAT_STATUS_OK);
     /* Taken away again. */
     CHECK(ssplat_encoder_set_metadata(encoder, SSPLAT_METADATA_ICC, NULL, 0) == SSPLAT_STATUS_OK);
     CHECK(ssplat_encoder_set_metadata(encoder, SSPLAT_METADATA_EXIF, NULL, 0) == SSPLAT_STATUS_OK);

@@ -83,7 +83,8 @@ Examples:
 
 With --out-dir, all paths are inputs, and folders stand for their files. Small pictures are encoded
 in parallel, a picture that fails does not stop the others, and with --skip-existing a second run
-resumes where the first one stopped. anim.gif becomes anim.ssplat, or anim.gif.ssplat if there is an
+resumes where the first one stopped; with --update, it also replaces outputs that are older than
+their inputs. anim.gif becomes anim.ssplat, or anim.gif.ssplat if there is an
 anim.webp as well.
 
 The file keeps the orientation, unless --auto-orient applies it to the pixels. Samples in 32-bit floats
@@ -195,6 +196,8 @@ pub struct Encode {
 pub enum Existing {
     Refuse,
     Skip,
+    /// Skip outputs that are no older than their inputs, and replace the others.
+    Update,
     Replace,
 }
 
@@ -213,6 +216,9 @@ pub struct Many {
     /// Skip inputs whose outputs exist
     #[arg(help_heading = "Several files", long, requires = "out_dir", conflicts_with = "overwrite")]
     pub skip_existing: bool,
+    /// Skip inputs whose outputs exist and are no older, and replace older outputs
+    #[arg(help_heading = "Several files", long, requires = "out_dir", conflicts_with_all = ["overwrite", "skip_existing"])]
+    pub update: bool,
     /// Replace outputs that exist; a single output is always replaced, but a read-only one only with this option
     #[arg(help_heading = "Several files", long)]
     pub overwrite: bool,
@@ -229,9 +235,10 @@ impl Many {
     }
 
     pub fn existing(&self) -> Existing {
-        match (self.skip_existing, self.overwrite) {
-            (true, _) => Existing::Skip,
-            (_, true) => Existing::Replace,
+        match (self.skip_existing, self.update, self.overwrite) {
+            (true, ..) => Existing::Skip,
+            (_, true, _) => Existing::Update,
+            (.., true) => Existing::Replace,
             _ => Existing::Refuse,
         }
     }
@@ -463,6 +470,10 @@ pub struct View {
     /// Print the address of the page without opening a browser
     #[arg(long, conflicts_with = "html")]
     pub no_open: bool,
+    /// End after so many seconds without a request, instead of at Ctrl-C; for desktops, which start the program
+    /// without a terminal
+    #[arg(long, value_name = "SECONDS", conflicts_with = "html", value_parser = clap::value_parser!(u64).range(1..))]
+    pub idle: Option<u64>,
 }
 
 const COMPLETIONS_EXAMPLES: &str = "\

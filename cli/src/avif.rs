@@ -1,7 +1,7 @@
 //! What the AVIF decoder of `image` lacks: a limit on the size, an end where the data hold no picture, the rotation of the
 //! file, and pictures without the alpha channel and the colours that it adds.
 
-use std::io::Seek;
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use dav1d::{Decoder, Error, Picture, PixelLayout, Settings};
@@ -22,8 +22,11 @@ const TOO_LARGE: Error = Error::UnknownError(-34);
 /// What a file states about its picture.
 pub struct Stated {
     pub orientation: Orientation,
+    /// Primaries, transfer characteristics, matrix coefficients (0, because the pixels are RGB) and full range (1), by
+    /// ITU-T H.273.
+    pub code_points: Option<[u8; 4]>,
     has_alpha: bool,
-    is_grey: bool,
+    pub is_grey: bool,
 }
 
 /// Decodes the picture once and drops it, so that a file on which the decoder of `image` would take too much memory, or never
@@ -33,6 +36,8 @@ pub fn look(path: &Path, input: &mut Input) -> Result<Stated, Failure> {
     let broken =
         |what: String| Failure { kind: Kind::Format, message: format!("{name}: Format error decoding Avif: {what}") };
     let file = read_avif(&mut *input, ParseStrictness::Normal).map_err(|e| broken(format!("{e:?}")))?;
+    input.rewind().map_err(|e| Failure::io(path, &e))?;
+    let code_points = code_points(input).map_err(|e| Failure::io(path, &e))?;
     input.rewind().map_err(|e| Failure::io(path, &e))?;
     if !file.image_mirror_ptr().is_ok_and(|mirror| mirror.is_null()) {
         let message = format!(
@@ -64,7 +69,37 @@ pub fn look(path: &Path, input: &mut Input) -> Result<Stated, Failure> {
             return Err(broken("alpha and colours differ in size or depth".into()));
         }
     }
-    Ok(Stated { orientation, has_alpha, is_grey: colours.pixel_layout() == PixelLayout::I400 })
+    let is_grey = colours.pixel_layout() == PixelLayout::I400;
+    Ok(Stated { orientation, code_points, has_alpha, is_grey })
+}
+
+/// Finds the first `colr` box with code points (`nclx`) in the `meta` box, which mp4parse returns only as a pointer. The
+/// pixels are converted to RGB of full range, so matrix and range are not those of the file.
+fn code_points(input: &mut Input) -> io::Result<Option<[u8; 4]>> {
+    /// Bytes of the `meta` box that are searched.
+    const SEARCHED: u64 = 1 << 16;
+    let mut at = 0;
+    loop {
+        input.seek(SeekFrom::Start(at))?;
+        let mut head = [0; 8];
+        match input.read_exact(&mut head) {
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+            read => read?,
+        }
+        let length = u64::from(u32::from_be_bytes([head[0], head[1], head[2], head[3]]));
+        if &head[4..] == b"meta" {
+            let mut meta = Vec::new();
+            input.take(length.saturating_sub(8).min(SEARCHED)).read_to_end(&mut meta)?;
+            let found = meta.windows(12).find(|bytes| bytes.starts_with(b"colrnclx"));
+            // 16 bits each, of which ITU-T H.273 uses 8.
+            return Ok(found.filter(|f| f[8] == 0 && f[10] == 0).map(|found| [found[9], found[11], 0, 1]));
+        }
+        // Boxes of 64-bit lengths, and up to the end of the file, do not precede `meta`.
+        if length < 8 {
+            return Ok(None);
+        }
+        at += length;
+    }
 }
 
 /// Decodes the first picture of AV1 data. [`Error::Again`] means that there is none, for which the decoder of `image` would wait.

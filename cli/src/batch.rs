@@ -6,7 +6,7 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use image::ImageFormat;
 use serde_json::{Value, json};
@@ -99,13 +99,20 @@ pub fn run(
     std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))?;
     let manifest = manifest.map(Manifest::open).transpose()?;
     let all = tasks.len();
-    let waiting = tasks.into_iter().filter(|t| many.existing() != Existing::Skip || !t.output.exists());
+    let is_waiting = |task: &Task| match many.existing() {
+        Existing::Skip => !task.output.exists(),
+        Existing::Update => !is_up_to_date(task),
+        Existing::Refuse | Existing::Replace => true,
+    };
+    let waiting = tasks.into_iter().filter(is_waiting);
     let (small, large): (Vec<Task>, Vec<Task>) = waiting.partition(|t| (command.pixels)(&t.input) <= MAX_SMALL_PIXELS);
     let threads = rayon::current_num_threads();
     let jobs = many.jobs.map_or(threads, |n| n.get().min(crate::most_threads())).min(small.len()).max(1);
     let total = small.len() + large.len();
     let bar = Bar::of(output_mode);
-    let run_state = BatchRun { command, many, output_mode, manifest, total, state: Mutex::default(), bar };
+    let start = Instant::now();
+    let run_state = BatchRun { command, many, output_mode, manifest, total, start, state: Mutex::default(), bar };
+    run_state.tell_on_interrupt(&BatchState::default());
     let next = AtomicUsize::new(0);
     let of_small = || {
         let work = || {
@@ -121,6 +128,7 @@ pub fn run(
     std::thread::scope(|scope| (0..jobs).for_each(|_| drop(scope.spawn(of_small))));
     large.iter().for_each(|task| run_state.work(task));
     drop(run_state.bar);
+    sink::on_interrupt(String::new());
     let state = run_state.state.into_inner().unwrap_or_else(|e| e.into_inner());
     if state.exif_left_out > 0 {
         tell(&carried::exif_of_files(state.exif_left_out));
@@ -129,7 +137,8 @@ pub fn run(
         let (larger, failed) = (state.larger, state.failed.len());
         let (done, skipped) = (state.finished - larger - failed, all - total + larger);
         let of_them = if larger > 0 { format!(" ({larger} larger than the input)") } else { String::new() };
-        say(&format!("{done} files done, {skipped} skipped{of_them}, {failed} failed\n"))?;
+        let totals = totals(state.bytes, start.elapsed());
+        say(&format!("{done} files done, {skipped} skipped{of_them}, {failed} failed{totals}\n"))?;
     }
     match state.failed[..] {
         [] => Ok(()),
@@ -138,6 +147,40 @@ pub fn run(
             let kind = if state.failed.iter().all(|&k| k == first) { first } else { Kind::Other };
             Err(Failure { kind, message: format!("{} of {all} files failed", state.failed.len()) })
         }
+    }
+}
+
+/// Whether the output of a task exists and is no older than the input.
+fn is_up_to_date(task: &Task) -> bool {
+    let time = |path: &Path| std::fs::metadata(path).and_then(|found| found.modified()).ok();
+    match (time(&task.input), time(&task.output)) {
+        (Some(input), Some(output)) => output >= input,
+        _ => false,
+    }
+}
+
+/// Returns the end of a line about `read` bytes of inputs, `written` bytes of outputs, and the time that they took.
+fn totals([read, written]: [u64; 2], time: Duration) -> String {
+    if written == 0 {
+        return String::new();
+    }
+    let seconds = time.as_secs();
+    let time = match (seconds / 3600, seconds / 60) {
+        (0, 0) => format!("{:.1} s", time.as_secs_f64()),
+        (0, minutes) => format!("{minutes} min {} s", seconds % 60),
+        (hours, minutes) => format!("{hours} h {} min", minutes % 60),
+    };
+    let share = 100.0 * written as f64 / read.max(1) as f64;
+    format!("; {} became {} ({share:.1} %) in {time}", size(read), size(written))
+}
+
+/// Returns a number of bytes with a unit.
+fn size(bytes: u64) -> String {
+    match bytes as f64 {
+        b if b < 1e4 => format!("{bytes} bytes"),
+        b if b < 1e6 => format!("{:.0} kB", b / 1e3),
+        b if b < 1e9 => format!("{:.1} MB", b / 1e6),
+        b => format!("{:.1} GB", b / 1e9),
     }
 }
 
@@ -206,6 +249,7 @@ struct BatchRun<'a> {
     output_mode: OutputMode,
     manifest: Option<Manifest>,
     total: usize,
+    start: Instant,
     state: Mutex<BatchState>,
     bar: Bar,
 }
@@ -215,6 +259,8 @@ struct BatchRun<'a> {
 struct BatchState {
     finished: usize,
     failed: Vec<Kind>,
+    /// Bytes of the inputs and of the outputs of files that were written.
+    bytes: [u64; 2],
     /// Files that were not written because they would have been larger than their inputs.
     larger: usize,
     /// Files whose EXIF blocks are left out.
@@ -241,6 +287,10 @@ impl BatchRun<'_> {
         state.busy.remove(&task.input);
         state.finished += 1;
         let outcome = outcome.and_then(|done| written.map(|()| done));
+        if outcome.as_ref().is_ok_and(|done| done.fate == Fate::Written) {
+            let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
+            state.bytes = [state.bytes[0] + length(&task.input), state.bytes[1] + length(&task.output)];
+        }
         self.bar.aside(|| match &outcome {
             Ok(done) => {
                 state.larger += usize::from(done.fate == Fate::LargerThanInput);
@@ -260,13 +310,25 @@ impl BatchRun<'_> {
             Err(failure) => tell(&failure.message),
         });
         state.failed.extend(outcome.err().map(|f| f.kind));
+        self.tell_on_interrupt(&state);
+    }
+
+    /// Sets what is told if the batch is interrupted.
+    fn tell_on_interrupt(&self, state: &BatchState) {
+        let done = state.finished - state.failed.len();
+        let failed = if state.failed.is_empty() { String::new() } else { format!(", {} failed", state.failed.len()) };
+        let totals = totals(state.bytes, self.start.elapsed());
+        let total = self.total;
+        sink::on_interrupt(format!("{done} of {total} files done{failed}{totals}; --skip-existing goes on from here"));
     }
 
     /// Checks that the output may be written, and creates its folder.
     fn prepare(&self, task: &Task) -> Result<(), Failure> {
         if self.many.existing() == Existing::Refuse && task.output.exists() {
             let path = task.output.display();
-            return Err(Failure::usage(format!("{path}: exists; --overwrite replaces it, --skip-existing keeps it")));
+            return Err(Failure::usage(format!(
+                "{path}: exists; --overwrite replaces it, --skip-existing keeps it, --update replaces it if it is older"
+            )));
         }
         let folder = task.output.parent().unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))

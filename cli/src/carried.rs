@@ -2,16 +2,17 @@
 
 use image::metadata::Orientation;
 use ssplat::unstable::EncodeOptions;
-use ssplat::{Error, MetadataPolicy};
+use ssplat::{Cicp, Error, MetadataPolicy};
 
-/// Puts the profile and the EXIF block that `--metadata` selects into `options`, and adds notes about what is left out.
+/// Puts the code points, the profile and the EXIF block that `--metadata` selects into `options`, and adds notes about what is left out.
 pub fn carry(
     options: &mut EncodeOptions,
-    (icc, exif): (Option<Vec<u8>>, Option<Vec<u8>>),
+    colors: (Option<Cicp>, Option<Vec<u8>>),
+    exif: Option<Vec<u8>>,
     orientation: Orientation,
     notes: &mut Vec<String>,
 ) {
-    let carried = options.metadata.of(icc, exif, orientation);
+    let carried = options.metadata.of(colors, exif, orientation);
     // No note about losses that the user requested.
     if options.metadata == MetadataPolicy::Needed && carried.exif_left_out > 0 {
         let but = if carried.exif.is_some() { " except for the orientation" } else { "" };
@@ -21,7 +22,7 @@ pub fn carry(
     if carried.is_orientation_left_out {
         notes.push("its orientation is left out; --auto-orient turns the picture".into());
     }
-    (options.icc, options.exif) = (carried.icc, carried.exif);
+    (options.cicp, options.icc, options.exif) = (carried.cicp, carried.icc, carried.exif);
 }
 
 /// The start of a note about an EXIF block that is left out.

@@ -27,6 +27,13 @@ pub fn run(args: &args::Compare) -> Result<(), Failure> {
         tell(&format!("{both}: their orientations differ; the pictures are compared upright"));
         (reference, test) = (reference.upright(&args.reference)?, test.upright(&args.test)?);
     }
+    if reference.cicp != test.cicp {
+        let name = |source: &Source| source.cicp.map_or("none".into(), |cicp| cicp.to_string());
+        let (a, b) = (name(&reference), name(&test));
+        tell(&format!(
+            "{both}: the code points of their colours differ ({a}; {b}); the samples are compared as stored"
+        ));
+    }
     let profile = |source: &Source| source.icc.clone().filter(|icc| !colour::is_srgb(icc));
     if profile(&reference) != profile(&test) {
         tell(&format!("{both}: their ICC profiles differ; the samples are compared as they are stored"));

@@ -12,6 +12,8 @@ pub struct Structure {
     pub is_whole: bool,
     /// The file has more than one frame or page.
     pub has_more: bool,
+    /// The file has a gain map, with which displays of high dynamic range show its picture.
+    pub has_gain_map: bool,
     /// The first picture is a reduced version of another one, as in raw files of cameras.
     pub is_reduced: bool,
     /// The file uses a kind of coding that its decoder does not support: what it is, and what to do.
@@ -20,7 +22,8 @@ pub struct Structure {
 
 /// Scans a file of `format` from its start. Formats whose decoders detect truncation count as complete.
 pub fn look<R: BufRead + Seek>(reader: &mut R, format: ImageFormat) -> io::Result<Structure> {
-    let mut found = Structure { is_whole: true, has_more: false, is_reduced: false, unsupported: None };
+    let mut found =
+        Structure { is_whole: true, has_more: false, has_gain_map: false, is_reduced: false, unsupported: None };
     let outcome = match format {
         ImageFormat::Jpeg => jpeg(reader, &mut found),
         ImageFormat::Gif => gif(reader, &mut found),
@@ -66,6 +69,15 @@ fn unsupported_frame(marker: u8) -> Option<&'static str> {
     })
 }
 
+/// Returns whether a segment belongs to a picture with a gain map: by ISO 21496-1, or by XMP as Ultra HDR (Android 14) and
+/// cameras of Apple write it.
+fn states_gain_map(body: &[u8]) -> bool {
+    const XMP: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
+    let has = |name: &[u8]| body.windows(name.len()).any(|bytes| bytes == name);
+    body.starts_with(b"urn:iso:std:iso:ts:21496:-1\0")
+        || body.starts_with(XMP) && (has(b"http://ns.adobe.com/hdr-gain-map/1.0/") || has(b"HDRGainMap"))
+}
+
 /// Reads up to the end marker. Skips everything but markers between segments and within a scan.
 fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
     loop {
@@ -87,10 +99,13 @@ fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
                     return Ok(());
                 }
                 let mut length = u64::from(u16::from_be_bytes(bytes(reader)?)).saturating_sub(2);
-                // An APP2 segment with the index of pictures that follow the first one (CIPA DC-007).
-                if marker == 0xE2 && length >= 4 {
-                    found.has_more |= &bytes::<4>(reader)? == b"MPF\0";
-                    length -= 4;
+                if matches!(marker, 0xE1 | 0xE2) {
+                    let mut body = Vec::new();
+                    reader.take(length).read_to_end(&mut body)?;
+                    length -= body.len() as u64;
+                    // An index of pictures that follow the first one (CIPA DC-007).
+                    found.has_more |= marker == 0xE2 && body.starts_with(b"MPF\0");
+                    found.has_gain_map |= states_gain_map(&body);
                 }
                 // A frame header starts with the number of bits per sample.
                 if matches!(marker, 0xC0..=0xC2) && length >= 1 {

@@ -226,7 +226,8 @@ fn shown(
         }
     }
     let orientation = source::orientation_in(metadata.exif.as_deref());
-    Ok(Source { pixels, icc: metadata.icc, exif: metadata.exif, orientation, is_cut_off: false, notes: Vec::new() })
+    let Metadata { cicp, icc, exif, .. } = metadata;
+    Ok(Source { pixels, cicp, icc, exif, orientation, is_cut_off: false, notes: Vec::new() })
 }
 
 /// Returns the background colour for a picture that loses its alpha.

@@ -155,9 +155,9 @@ fn one(args: &args::Encode, task: &Task, show: &Show, report: &Report) -> Result
         }
         Loaded::Whole(source) => source,
     };
-    let Source { pixels, icc, exif, orientation, mut notes, .. } = source;
+    let Source { pixels, cicp, icc, exif, orientation, mut notes, .. } = source;
     let mut options = args.options();
-    carried::carry(&mut options, (icc, exif), orientation, &mut notes);
+    carried::carry(&mut options, (cicp, icc), exif, orientation, &mut notes);
     let samples = u64::from(pixels.width()) * u64::from(pixels.height()) * pixels.channels().count() as u64;
     if let Target::Primitives(asked) = options.target
         && u64::from(asked) > samples
@@ -319,7 +319,7 @@ fn in_parts(
     options.time = time;
     let (icc, exif, mut notes) = (picture.icc.take(), picture.exif.take(), std::mem::take(&mut picture.notes));
     let orientation = source::orientation_in(exif.as_deref());
-    carried::carry(&mut options, (icc, exif), orientation, &mut notes);
+    carried::carry(&mut options, (picture.cicp, icc), exif, orientation, &mut notes);
     let sink = args.sink(output, &[input])?;
     let mut stages = Stages::new(1);
     let encoded = Encoder::from(options.clone()).encode_with_progress(&picture, &mut |p| {
@@ -446,12 +446,12 @@ impl<'a> Preview<'a> {
 
 /// Writes a picture that is in memory. Returns a note if its profile does not fit the format.
 pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<Option<String>, Failure> {
-    let Source { pixels, icc, exif, .. } = source;
+    let Source { pixels, cicp, icc, exif, .. } = source;
     format.check(path, pixels.size(), pixels.channels())?;
     let shape =
         Shape { width: pixels.width(), height: pixels.height(), channels: pixels.channels(), depth: pixels.depth() };
     let mut metadata = Metadata::default();
-    (metadata.icc, metadata.exif) = (icc, exif);
+    (metadata.cicp, metadata.icc, metadata.exif) = (cicp, icc, exif);
     let note = decode::misfit(&metadata, format, pixels.channels());
     metadata.icc = metadata.icc.filter(|_| note.is_none());
     let io = |e| Failure::io(path, &e);

@@ -88,6 +88,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "levels": report.levels,
         "groups": report.groups,
         "codebook": splats.codebook.as_ref().map(Vec::len),
+        "cicp": splats.metadata.cicp.map(|cicp| json!({ "bytes": cicp.to_bytes(), "name": cicp.to_string() })),
         "icc_bytes": splats.metadata.icc.as_ref().map(Vec::len),
         "exif_bytes": splats.metadata.exif.as_ref().map(Vec::len),
         "thumbnail_bytes": splats.metadata.thumbnail.as_ref().map(Vec::len),
@@ -149,6 +150,9 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
         blend_name(h.blend),
         per_primitive(8.0 * report.bytes as f64, splats).unwrap_or(0.0),
     );
+    if let Some(cicp) = splats.metadata.cicp {
+        text += &format!("colours     {cicp}\n");
+    }
     if let Some(codebook) = &splats.codebook {
         text += &format!("codebook    {} colours\n", codebook.len());
     }

@@ -89,19 +89,19 @@ pub fn read(path: &Path, input: &mut Input, reading: &Reading) -> Result<Source,
     };
     let pixels = pixels(path, &image, &render, from_pq)?;
     drop(render);
-    let mut icc = match &colors {
-        _ if reading.profiles == Profiles::Ignore => None,
-        Colors::Icc(icc) => Some(icc.clone()),
+    let (mut icc, cicp) = match &colors {
+        _ if reading.profiles == Profiles::Ignore => (None, None),
+        Colors::Icc(icc) => (Some(icc.clone()), None),
         Colors::Enum(encoding) => {
-            let CodePoints { icc, note } = profile_of(encoding);
+            let CodePoints { icc, cicp, note } = stored_colors(encoding);
             notes.extend(note.map(String::from));
-            icc
+            (icc, cicp)
         }
     };
     source::keep_fitting(&mut icc, pixels.channels(), &mut notes);
     let mut exif = exif;
     source::forget_orientation(&mut exif);
-    Ok(Source { pixels, icc, exif, orientation: Orientation::NoTransforms, is_cut_off, notes })
+    Ok(Source { pixels, cicp, icc, exif, orientation: Orientation::NoTransforms, is_cut_off, notes })
 }
 
 /// Returns width and height of the picture in `input`, or `None` if they are unknown. Moves the position of the input.
@@ -254,11 +254,26 @@ fn srgb() -> EnumColourEncoding {
     EnumColourEncoding::srgb(RenderingIntent::Relative)
 }
 
-/// Returns the profile of a colour space, or a note if no profile can express it.
-fn profile_of(encoding: &EnumColourEncoding) -> CodePoints {
+/// Returns the profile of a colour space, or code points if no profile can express it. A space with PQ or HLG that has no
+/// code points is kept as sRGB, with a note.
+fn stored_colors(encoding: &EnumColourEncoding) -> CodePoints {
     let is_grey = encoding.colour_space == ColourSpace::Grey;
     // ITU-T H.273: PQ and HLG.
-    let code_points = |transfer| colour::of_cicp([1, transfer, 0, 1], is_grey);
+    let code_points = |transfer| {
+        let primaries = match (&encoding.white_point, &encoding.primaries) {
+            _ if is_grey => Some(1),
+            (WhitePoint::D65, Primaries::Srgb) => Some(1),
+            (WhitePoint::D65, Primaries::Bt2100) => Some(9),
+            (WhitePoint::D65, Primaries::P3) => Some(12),
+            (WhitePoint::Dci, Primaries::P3) => Some(11),
+            _ => None,
+        };
+        let note = "its colours use PQ or HLG with primaries that have no code points; they are kept unchanged and will look pale";
+        match primaries {
+            Some(primaries) => colour::of_cicp([primaries, transfer, 0, 1], is_grey),
+            None => CodePoints { note: Some(note), ..CodePoints::default() },
+        }
+    };
     let transfer = match encoding.tf {
         TransferFunction::Pq => return code_points(16),
         TransferFunction::Hlg => return code_points(18),
@@ -284,7 +299,7 @@ fn profile_of(encoding: &EnumColourEncoding) -> CodePoints {
     };
     let [[rx, ry], [gx, gy], [bx, by]] = primaries;
     let chromaticities = [white[0], white[1], rx, ry, gx, gy, bx, by];
-    CodePoints { icc: colour::of_chromaticities(chromaticities, transfer, is_grey), note: None }
+    CodePoints { icc: colour::of_chromaticities(chromaticities, transfer, is_grey), ..CodePoints::default() }
 }
 
 /// Returns the exponent of a gamma that converts encoded values to light; 1 for other functions.

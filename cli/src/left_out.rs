@@ -58,7 +58,10 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
         add(format!("alpha: constant, {bytes} bytes in total"), None);
     }
     if report.sections.is_empty() {
-        add("sections: no ICC profile, EXIF block or thumbnail, and therefore no table of sections".into(), None);
+        add(
+            "sections: no code points, ICC profile, EXIF block or thumbnail, and therefore no table of sections".into(),
+            None,
+        );
     }
     list
 }

@@ -8,6 +8,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageEncoder, ImageFormat, ImageResult};
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::splats::Metadata;
+use ssplat::unstable::colour;
 use ssplat::{Channels, Depth, Pixels, Samples};
 
 use crate::failure::Failure;
@@ -134,6 +135,15 @@ impl Format {
         }
         if !icc && metadata.icc.is_some() {
             notes.push("the ICC profile is left out, because the output format cannot store one".into());
+        }
+        // PNG stores code points, and the others a profile if one has the same meaning.
+        if let Some(cicp) = metadata.cicp.filter(|_| self != Format::Png)
+            && (!icc || colour::profile_of_cicp(cicp, false).is_none())
+        {
+            notes.push(format!(
+                "the code points of its colours ({cicp}) are left out, because the output format cannot store them: \
+                 the picture will look wrong; PNG keeps them"
+            ));
         }
         if let Some(exif) = metadata.exif.as_deref().filter(|_| !exif) {
             let turned = Orientation::from_exif_chunk(exif).is_some_and(|o| o != Orientation::NoTransforms);
@@ -265,7 +275,7 @@ pub fn color_type(channels: Channels) -> png::ColorType {
     }
 }
 
-/// Writes a PNG up to its first row, with the ICC profile and the EXIF block.
+/// Writes a PNG up to its first row, with the code points, the ICC profile and the EXIF block.
 fn start_png(
     writer: Box<dyn Write>,
     shape: Shape,
@@ -281,7 +291,11 @@ fn start_png(
         Depth::Sixteen => png::BitDepth::Sixteen,
     });
     encoder.set_compression(png::Compression::Fast);
-    Ok(encoder.write_header()?.into_stream_writer_with_size(PNG_CHUNK)?)
+    let mut writer = encoder.write_header()?;
+    if let Some(cicp) = metadata.cicp {
+        writer.write_chunk(png::chunk::ChunkType(*b"cICP"), &cicp.to_bytes())?;
+    }
+    Ok(writer.into_stream_writer_with_size(PNG_CHUNK)?)
 }
 
 /// Returns the header of a PNM file; `P5` and `P6` have no alpha.
@@ -323,8 +337,8 @@ fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata)
 
 fn with_metadata(picture: &DynamicImage, mut encoder: impl ImageEncoder, metadata: &Metadata) -> ImageResult<()> {
     // Metadata that the format does not support is dropped; `Format::losses` reports it.
-    if let Some(icc) = &metadata.icc {
-        let _ = encoder.set_icc_profile(icc.clone());
+    if let Some(icc) = colour::profile_or_equivalent(metadata, !picture.color().has_color()) {
+        let _ = encoder.set_icc_profile(icc);
     }
     if let Some(exif) = &metadata.exif {
         let _ = encoder.set_exif_metadata(exif.clone());

@@ -16,6 +16,14 @@ use crate::failure::{Failure, Kind};
 /// Temporary files that an interrupt must remove.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
+/// What is told after an interrupt: what was done before.
+static DONE: Mutex<String> = Mutex::new(String::new());
+
+/// Sets what is told after an interrupt.
+pub fn on_interrupt(done: String) {
+    *DONE.lock().unwrap_or_else(|e| e.into_inner()) = done;
+}
+
 /// Exit status after an interrupt: that of shells for SIGINT.
 const INTERRUPTED: i32 = 130;
 
@@ -26,7 +34,10 @@ fn interrupted() -> ! {
     for path in unfinished.iter() {
         let _ = std::fs::remove_file(path);
     }
-    tell("interrupted");
+    match DONE.lock().unwrap_or_else(|e| e.into_inner()).as_str() {
+        "" => tell("interrupted"),
+        done => tell(&format!("interrupted: {done}")),
+    }
     std::process::exit(INTERRUPTED);
 }
 

@@ -9,7 +9,7 @@ use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
 use ssplat::unstable::colour::{self, Profiles, Stated};
 use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
-use ssplat::{Channels, HiddenColors, Limits, Pixels};
+use ssplat::{Channels, Cicp, HiddenColors, Limits, Metadata, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::input::{self, Input};
@@ -46,6 +46,8 @@ impl Reading {
 /// A picture with its metadata.
 pub struct Source {
     pub pixels: Pixels,
+    /// Code points that no profile can express.
+    pub cicp: Option<Cicp>,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
     /// Orientation that is not applied to the pixels yet.
@@ -165,7 +167,9 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
                 "its first picture is a reduced version, as in raw files of cameras (DNG, NEF): convert it to PNG or TIFF first",
             ));
         }
-        if found.has_more {
+        if found.has_gain_map {
+            notes.push("its gain map is left out: the picture has standard dynamic range".into());
+        } else if found.has_more {
             notes.push("only the first of its frames or pages is used".into());
         }
         if is_cut_off && format == ImageFormat::Jpeg && jpeg_end::has_all_samples(path, &mut input)? {
@@ -198,6 +202,16 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
     }
     let (mut icc, note) = icc;
     notes.extend(note);
+    #[cfg_attr(not(feature = "avif"), allow(unused_mut, reason = "only AVIF states others"))]
+    let mut cicp = stated.cicp;
+    #[cfg(feature = "avif")]
+    if let Some(found) = avif.as_ref().and_then(|avif| avif.code_points).filter(|_| icc.is_none())
+        && reading.profiles == Profiles::Read
+    {
+        // A profile takes precedence (MIAF, 7.3.6.4).
+        let found = colour::of_cicp(found, avif.as_ref().is_some_and(|avif| avif.is_grey));
+        (cicp, icc) = (found.cicp, found.icc);
+    }
     if let Some(text) = text {
         orientation = orientation_in(Some(&text));
         exif = Some(text);
@@ -232,7 +246,7 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
         orientation = Orientation::NoTransforms;
     }
     keep_fitting(&mut icc, pixels.channels(), &mut notes);
-    Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })
+    Ok(Source { pixels, cicp, icc, exif, orientation, is_cut_off, notes })
 }
 
 /// Applies an orientation to `pixels`.
@@ -289,9 +303,9 @@ pub fn size(path: &Path, input: &mut Input) -> Option<[u32; 2]> {
 /// Decodes the ssplat file `bytes`, which came from `path`.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
     let decoded = ssplat::unstable::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
-    let (icc, exif) = (decoded.metadata.icc, decoded.metadata.exif);
+    let Metadata { cicp, icc, exif, .. } = decoded.metadata;
     let orientation = orientation_in(exif.as_deref());
-    Ok(Source { pixels: decoded.pixels, icc, exif, orientation, is_cut_off: false, notes: Vec::new() })
+    Ok(Source { pixels: decoded.pixels, cicp, icc, exif, orientation, is_cut_off: false, notes: Vec::new() })
 }
 
 /// Returns the orientation stated in an EXIF block.

@@ -13,7 +13,7 @@ use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
 use ssplat::unstable::check_area;
 use ssplat::unstable::colour::{MAX_PROFILE_BYTES, Overlay, Profiles};
-use ssplat::{Channels, Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
+use ssplat::{Channels, Cicp, Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
@@ -34,6 +34,7 @@ pub struct Spooled {
     height: u32,
     channels: Channels,
     depth: Depth,
+    pub cicp: Option<Cicp>,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
     /// Notes about parts of the input that are ignored.
@@ -81,8 +82,8 @@ impl Spooled {
         let pixels = resize::resize(&self, size, self.icc.as_deref(), hidden);
         let pixels = pixels.map_err(|e| Failure::library(path, &e))?;
         let orientation = source::orientation_in(self.exif.as_deref());
-        let Spooled { icc, exif, notes, .. } = self;
-        Ok(Source { pixels, icc, exif, orientation, is_cut_off: false, notes })
+        let Spooled { cicp, icc, exif, notes, .. } = self;
+        Ok(Source { pixels, cicp, icc, exif, orientation, is_cut_off: false, notes })
     }
 }
 
@@ -148,7 +149,18 @@ fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Fai
         return Err(broken(format!("needs {bytes} bytes of samples but has {}", length.saturating_sub(start))));
     }
     let file = Mutex::new(file);
-    Ok(Some(Spooled { file, start, width, height, channels, depth, icc: None, exif: None, notes: Vec::new() }))
+    Ok(Some(Spooled {
+        file,
+        start,
+        width,
+        height,
+        channels,
+        depth,
+        cicp: None,
+        icc: None,
+        exif: None,
+        notes: Vec::new(),
+    }))
 }
 
 /// Refuses a PNG whose `samples` bytes of samples are out of proportion to its `packed` bytes, because it would fill
@@ -259,5 +271,6 @@ fn png(
     }
     rows.flush().map_err(io)?;
     drop(rows);
-    Ok(Some(Spooled { file: Mutex::new(file), start: 0, width, height, channels, depth, icc, exif, notes }))
+    let cicp = stated.cicp;
+    Ok(Some(Spooled { file: Mutex::new(file), start: 0, width, height, channels, depth, cicp, icc, exif, notes }))
 }

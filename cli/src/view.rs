@@ -6,6 +6,7 @@ mod page;
 mod server;
 
 use std::path::Path;
+use std::time::Duration;
 
 use ssplat::{Damage, Error, FormatError, Limits, Reader};
 
@@ -56,7 +57,8 @@ fn complete(input: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u8>, Fa
 
 pub fn run(args: &args::View) -> Result<(), Failure> {
     let opens = if args.no_open { server::Opens::Nothing } else { server::Opens::Browser };
-    let Some(input) = &args.input else { return server::run(None, None, opens) };
+    let idle = args.idle.map(Duration::from_secs);
+    let Some(input) = &args.input else { return server::run(None, None, opens, idle) };
     let bytes = input::read_splats(input)?;
     let limits = Limits::default();
     let bytes = complete(input, bytes, &limits)?;
@@ -70,6 +72,6 @@ pub fn run(args: &args::View) -> Result<(), Failure> {
             let inputs: Vec<&Path> = [input].into_iter().chain(&args.original).map(|p| p.as_path()).collect();
             Sink::create(out, &inputs)?.finish_with(page::packed(&file, original.as_ref()).as_bytes())
         }
-        None => server::run(Some(file), original, opens),
+        None => server::run(Some(file), original, opens, idle),
     }
 }

@@ -13,7 +13,7 @@ use ssplat::unstable::bitstream::lattice::Lattice;
 use ssplat::unstable::bitstream::rules::most_color;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, DetailLayer, Maker};
-use ssplat::{Blend, Channels, Depth, Limits};
+use ssplat::{Blend, Channels, Cicp, Depth, Limits};
 
 /// Returns the limits for fuzzed files.
 pub fn tight_limits() -> Limits {
@@ -120,6 +120,10 @@ impl<'a> Arbitrary<'a> for Legal {
         }
         if u.arbitrary()? {
             splats.metadata.exif = Some(u.arbitrary()?);
+        }
+        // Of bytes that the seeds have already.
+        if let Some(&[primaries, transfer, flag, ..]) = splats.metadata.exif.as_deref() {
+            splats.metadata.cicp = Cicp::from_bytes(&[primaries, transfer, 0, flag & 1]).ok();
         }
         if u.arbitrary()? {
             splats.metadata.thumbnail = Some(u.arbitrary()?);

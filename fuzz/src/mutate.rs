@@ -7,7 +7,7 @@ use libfuzzer_sys::fuzzer_mutate;
 use ssplat::unstable::bitstream::header::{Header, Sections};
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 use ssplat::unstable::bitstream::{ExactLayer, read, to_bytes};
-use ssplat::{Depth, Error, FormatError, Pixels, Samples};
+use ssplat::{Cicp, Depth, Error, FormatError, Pixels, Samples};
 
 use crate::{Levels, layer, tight_limits};
 
@@ -114,7 +114,12 @@ fn change(splats: &mut PackedSplats, random: &mut Random) {
         let count = splats.gaussians.len();
         match random.below(10) {
             0 => splats.layout = [Layout::Packed, Layout::Planes, Layout::Coded][random.below(3)],
-            1 => splats.metadata.icc = Some(vec![random.next() as u8; random.below(40)]),
+            1 => {
+                let profile = vec![random.next() as u8; random.below(40)];
+                // No more random numbers, so that seeds keep their meaning.
+                splats.metadata.cicp = (profile.len() % 2 == 0).then_some(Cicp::BT2100_PQ);
+                splats.metadata.icc = Some(profile);
+            }
             2 if count > 0 => {
                 splats.gaussians.truncate(random.below(count));
                 splats.levels.clear();

@@ -10,7 +10,7 @@ use ssplat::{Detail, Encoder, HiddenColors, PixelSource, Progress, Target, Thumb
 
 use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
-use crate::{array, names, work};
+use crate::{array, carry, names, work};
 
 /// Maximum number of unfinished tasks.
 const MOST_TASKS: i128 = 1 << 16;
@@ -38,6 +38,7 @@ pub struct Options {
     levels: i128,
     tiles: Option<i128>,
     thumbnail: Option<Carried>,
+    cicp: Option<[u8; 4]>,
     icc_profile: Option<PyBackedBytes>,
     exif: Option<PyBackedBytes>,
     keep_hidden: bool,
@@ -115,6 +116,7 @@ impl Options {
         o.detail = self.detail.parse()?;
         o.needs = names::value("needs", &names::NEEDS, &self.needs)?;
         o.backend = names::value("backend", &names::BACKENDS, &self.backend)?;
+        o.cicp = self.cicp.map(carry::code_points).transpose()?;
         o.icc = self.icc_profile.as_ref().map(|b| b.to_vec());
         o.exif = self.exif.as_ref().map(|b| b.to_vec());
         o.hidden = if self.keep_hidden { HiddenColors::Keep } else { HiddenColors::Continue };

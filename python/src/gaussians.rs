@@ -11,7 +11,7 @@ use ssplat::unstable::{EncodeOptions, Precision};
 use ssplat::{Channels, Damage, Depth, Encoder, Gaussian, Gaussians, Layers, Reader, Target};
 
 use crate::failure::{integer, parameter};
-use crate::{decode, info, names, work};
+use crate::{carry, decode, info, names, work};
 
 /// Returns the primitives of `data`, level by level, and the other arguments of [`from_gaussians`].
 #[pyfunction]
@@ -83,6 +83,7 @@ pub struct Options {
     background: Vec<f32>,
     bytes: Option<i128>,
     steps: Option<StepIndices>,
+    cicp: Option<[u8; 4]>,
     icc_profile: Option<PyBackedBytes>,
     exif: Option<PyBackedBytes>,
 }
@@ -114,6 +115,7 @@ impl Options {
             o.target = Target::Bytes(integer("bytes", bytes)?);
         }
         o.layout = names::value("layout", &names::LAYOUTS, &self.layout)?;
+        o.cicp = self.cicp.map(carry::code_points).transpose()?;
         o.icc = self.icc_profile.as_ref().map(|b| b.to_vec());
         o.exif = self.exif.as_ref().map(|b| b.to_vec());
         Ok(o)

@@ -12,7 +12,7 @@ use ssplat::unstable::bitstream::splats::{Metadata, PackedSplats, Steps};
 use ssplat::{Limits, Reader};
 
 use crate::failure::exception;
-use crate::{decode, names, work};
+use crate::{carry, decode, names, work};
 
 /// `(width, height, channels, bits, whether there is metadata)` from the first bytes of a file; 32 are enough.
 #[pyfunction]
@@ -24,19 +24,19 @@ pub fn header(data: &[u8]) -> PyResult<(u32, u32, usize, usize, bool)> {
 /// Returns the bytes of a section, if it exists.
 type Section = Option<Py<PyBytes>>;
 
-/// Returns `(ICC profile, EXIF block)` without reading the picture.
+/// Returns `(code points, ICC profile, EXIF block)` without reading the picture.
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn metadata(
     py: Python<'_>,
     data: PyBackedBytes,
     limits: Option<BTreeMap<String, i128>>,
-) -> PyResult<(Section, Section)> {
+) -> PyResult<(Option<(u8, u8, u8, u8)>, Section, Section)> {
     let limits = decode::limits(limits.as_ref())?;
-    let Metadata { icc, exif, .. } =
+    let Metadata { cicp, icc, exif, .. } =
         work::run(py, 1, &work::Calls::default(), move |_| Reader::new(&data, &limits)?.metadata())?;
     let bytes = |v: Option<Vec<u8>>| v.map(|v| PyBytes::new(py, &v).unbind());
-    Ok((bytes(icc), bytes(exif)))
+    Ok((cicp.map(carry::numbers), bytes(icc), bytes(exif)))
 }
 
 /// Returns all properties except the primitives.
@@ -71,6 +71,7 @@ pub fn info<'py>(
     }
     d.set_item("parts", parts)?;
     let bytes = |v: &Option<Vec<u8>>| v.as_ref().map(|v| PyBytes::new(py, v));
+    d.set_item("cicp", splats.metadata.cicp.map(carry::numbers))?;
     d.set_item("icc_profile", bytes(&splats.metadata.icc))?;
     d.set_item("exif", bytes(&splats.metadata.exif))?;
     d.set_item("thumbnail", bytes(&splats.metadata.thumbnail))?;

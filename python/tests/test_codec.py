@@ -1,6 +1,7 @@
 """Encoding and decoding: the results have the requested properties."""
 
 import io
+import pickle
 import warnings
 
 import numpy as np
@@ -121,6 +122,47 @@ def test_metadata_are_carried_and_those_of_a_picture_by_default():
     dropped = ssplat.info(ssplat.encode(image, effort=1, icc_profile=None, exif=None))
     assert dropped["icc_profile"] is None and dropped["exif"] is None
     assert ssplat.info(ssplat.encode(PICTURE, effort=1, icc_profile=b"other"))["icc_profile"] == b"other"
+
+
+def test_code_points_pass_through():
+    hdr = (9, 16, 0, 1)
+    data = ssplat.encode(PICTURE, effort=1, cicp=hdr)
+    assert ssplat.info(data)["cicp"] == hdr and ssplat.info(data)["icc_profile"] is None
+    assert np.array_equal(ssplat.decode(data), ssplat.decode(ssplat.encode(PICTURE, effort=1)))
+    assert ssplat.info(ssplat.encode(PICTURE, effort=1))["cicp"] is None
+    assert ssplat.info(ssplat.encode(PICTURE, effort=1, cicp=bytes(hdr)))["cicp"] == hdr
+    # From one file to another, through Pillow; a profile of the caller replaces them.
+    image = Image.open(io.BytesIO(data))
+    assert image.info["cicp"] == hdr
+    assert ssplat.info(ssplat.encode(image, effort=1))["cicp"] == hdr
+    assert ssplat.info(ssplat.encode(image, effort=1, metadata="none"))["cicp"] is None
+    replaced = ssplat.info(ssplat.encode(image, effort=1, icc_profile=b"profile"))
+    assert (replaced["cicp"], replaced["icc_profile"]) == (None, b"profile")
+    for wrong in [(9, 16, 9, 1), (9, 16, 0, 2), (9, 16, 0), (9, 16, 0, 256), "PQ", 9]:
+        with pytest.raises(ssplat.ParameterError, match="cicp"):
+            ssplat.encode(PICTURE, effort=1, cicp=wrong)
+
+
+def test_a_reader_decodes_as_the_functions_do(tmp_path):
+    data = ssplat.encode(PICTURE, effort=1, cicp=(9, 18, 0, 1), icc_profile=b"p", exif=b"MM")
+    path = tmp_path / "a.ssplat"
+    path.write_bytes(data)
+    reader = ssplat.Reader(path)
+    path.unlink()
+    assert (reader.width, reader.height, reader.channels, reader.bits) == (80, 60, 3, 8)
+    assert (reader.cicp, reader.icc_profile, reader.exif) == ((9, 18, 0, 1), b"p", b"MM")
+    assert np.array_equal(reader.decode(), ssplat.decode(data))
+    for region, size in [((10, 5, 20, 30), None), ((0, 0, 80, 60), (40, 30))]:
+        assert np.array_equal(reader.decode(region, size=size), ssplat.decode(data, region=region, size=size))
+    assert reader.info() == ssplat.info(data) and reader.gaussians().keys() == ssplat.gaussians(data).keys()
+    assert np.array_equal(pickle.loads(pickle.dumps(reader)).decode(bits=16), ssplat.decode(data, bits=16))
+    assert "80 x 60" in repr(reader)
+    with pytest.raises(ssplat.FormatError):
+        ssplat.Reader(b"no file")
+    with pytest.raises(ssplat.LimitExceededError):
+        ssplat.Reader(data, limits={"alloc": 10}).decode()
+    with pytest.raises(ssplat.TruncatedError):
+        ssplat.Reader(data[:-9]).decode()
 
 
 def test_info_has_the_keys_that_its_type_names():

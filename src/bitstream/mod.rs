@@ -3,6 +3,7 @@
 pub mod broken;
 pub(crate) mod bytes;
 pub(crate) mod checksum;
+pub mod cicp;
 pub mod coder;
 pub(crate) mod detail;
 pub(crate) mod exact;

@@ -1,10 +1,11 @@
-//! Optional blocks after the header: ICC profile, EXIF, thumbnail, and additions of later versions (spec §3).
+//! Optional blocks after the header: code points, ICC profile, EXIF, thumbnail, and additions of later versions (spec §3).
 
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
+use super::cicp::Cicp;
 use super::detail::head::{self as detail_head, DetailHead, Spans};
 use super::exact::head::{self as exact_head, ExactHead};
-use super::splats::{EXIF, ICC, Metadata, THUMBNAIL};
+use super::splats::{CICP, EXIF, ICC, Metadata, THUMBNAIL};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 use crate::parameter::Limit;
@@ -114,6 +115,10 @@ pub(crate) fn read_sections(
                 exact = Some(exact_head::read(contents, bytes.offset() - length)?);
                 None
             }
+            CICP if stored == computed => {
+                metadata.cicp = Some(Cicp::from_bytes(contents)?);
+                None
+            }
             _ if name[0].is_ascii_uppercase() => return Err(FormatError::UnknownCriticalSection { name }.into()),
             _ => None,
         };
@@ -122,7 +127,7 @@ pub(crate) fn read_sections(
                 metadata.damaged.push(name);
                 SectionFate::Damaged
             }
-            None if name == DETAIL || name == EXACT => SectionFate::Kept,
+            None if [DETAIL, EXACT, CICP].contains(&name) => SectionFate::Kept,
             None => SectionFate::Skipped,
             Some(slot) => {
                 *slot = Some(contents.to_vec());

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::cicp::Cicp;
 use super::detail::DetailLayer;
 use super::exact::ExactLayer;
 use crate::gaussian::{Blend, Channels};
@@ -55,6 +56,8 @@ pub enum Layout {
     Coded,
 }
 
+/// Name of the section with code points of colours.
+pub const CICP: [u8; 4] = *b"cicp";
 /// Name of the ICC profile's section.
 pub const ICC: [u8; 4] = *b"iccp";
 /// Name of the EXIF block's section.
@@ -62,11 +65,13 @@ pub const EXIF: [u8; 4] = *b"exif";
 /// Name of the thumbnail's section.
 pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
-/// Metadata of a file as unparsed blocks, stored byte for byte.
+/// Metadata of a file. Profile and EXIF block are unparsed, and stored byte for byte.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
-#[doc(alias("icc", "exif", "orientation"))]
+#[doc(alias("icc", "exif", "orientation", "cicp", "hdr"))]
 pub struct Metadata {
+    /// Code points of the colours. They take precedence over a profile: a program that knows them ignores the profile.
+    pub cicp: Option<Cicp>,
     /// ICC colour profile.
     pub icc: Option<Vec<u8>>,
     /// EXIF block, starting at its TIFF header.
@@ -81,9 +86,9 @@ pub struct Metadata {
 impl Metadata {
     /// Returns the sections that are present, in the order of a file.
     pub(crate) fn sections(&self) -> impl Iterator<Item = ([u8; 4], &[u8])> {
-        [(EXIF, &self.exif), (ICC, &self.icc), (THUMBNAIL, &self.thumbnail)]
-            .into_iter()
-            .filter_map(|(name, contents)| Some((name, contents.as_deref()?)))
+        let blocks = [(EXIF, &self.exif), (ICC, &self.icc), (THUMBNAIL, &self.thumbnail)];
+        let blocks = blocks.into_iter().filter_map(|(name, contents)| Some((name, contents.as_deref()?)));
+        self.cicp.iter().map(|cicp| (CICP, cicp.as_bytes())).chain(blocks)
     }
 }
 
@@ -118,6 +123,6 @@ pub struct PackedSplats {
     pub detail: Option<Arc<DetailLayer>>,
     /// The exact layer, which replaces the pixels that it covers. Only the coded layout can have one.
     pub exact: Option<Arc<ExactLayer>>,
-    /// ICC profile, EXIF block and thumbnail.
+    /// Code points, ICC profile, EXIF block and thumbnail.
     pub metadata: Metadata,
 }

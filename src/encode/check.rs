@@ -13,8 +13,7 @@ use crate::target::Target;
 /// Checks that every option is within its range, and that decoders with default limits read the metadata.
 pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |parameter, problem| Err(Error::Parameter { parameter, problem });
-    let blocks = [&options.icc, &options.exif].into_iter().flatten().map(|block| block.len() as u64).sum::<u64>();
-    Limits::check(Limit::Metadata, blocks, Limits::default().metadata)?;
+    Limits::check(Limit::Metadata, options.stored_lengths().sum(), Limits::default().metadata)?;
     if !(1..=MAX_EFFORT).contains(&options.effort) {
         return bad(Parameter::Effort, format!("{} is outside 1..={MAX_EFFORT}", options.effort));
     }

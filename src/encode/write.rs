@@ -5,14 +5,14 @@ use super::render::check_metadata;
 use super::report::{EncodeReport, Encoded};
 use super::skipped::SkipReason;
 use super::state::{EncodeState, Outcome, decibels};
-use crate::bitstream::splats::PackedSplats;
+use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
 
 /// Adds the metadata to a file, and reports the result.
 pub(super) fn write(mut prepared: Prepared<'_>, mut outcome: Outcome) -> Result<Encoded> {
-    let (icc, exif) = (prepared.state().options.icc.clone(), prepared.state().options.exif.clone());
-    if icc.is_some() || exif.is_some() {
-        (outcome.splats.metadata.icc, outcome.splats.metadata.exif) = (icc, exif);
+    let stored = prepared.state().options.stored();
+    if stored != Metadata::default() {
+        outcome.splats.metadata = Metadata { thumbnail: outcome.splats.metadata.thumbnail.take(), ..stored };
         outcome.bytes = prepared.state().file(&outcome.splats)?;
     }
     // Only what the written file leaves out counts, not what discarded tries of a search left out.

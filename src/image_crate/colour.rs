@@ -5,6 +5,9 @@ use moxcms::{
     MatrixCoefficients, ToneReprCurve, TransferCharacteristics, TransformOptions, XyY,
 };
 
+use crate::bitstream::cicp::Cicp;
+use crate::bitstream::splats::Metadata;
+
 /// Maximum length of a profile that is compared with sRGB, bytes. sRGB profiles have up to 61 kB, and the comparison of
 /// longer ones could take a second.
 const MAX_COMPARED_BYTES: usize = 1 << 16;
@@ -80,35 +83,43 @@ fn difference_from_srgb(icc: &[u8]) -> Option<u8> {
     shown.iter().zip(colors.iter().flatten()).map(|(a, b): (&u8, &u8)| a.abs_diff(*b)).max()
 }
 
-/// The profile of code points.
+/// How a file stores the colours that code points state: as a profile if one can express them, otherwise as code points.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CodePoints {
     pub icc: Option<Vec<u8>>,
-    /// A note for the user about what no profile can express.
+    pub cicp: Option<Cicp>,
+    /// A note for the user about invalid code points.
     pub note: Option<&'static str>,
 }
 
-/// Returns the profile of code points (ITU-T H.273): primaries, transfer function, matrix, and whether the range is
-/// full.
-pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> CodePoints {
-    let note = match (transfer, matrix, range) {
-        (16, ..) => Some(
-            "its colours use PQ (cICP), which no ICC profile can express; they are kept unchanged and will look pale",
-        ),
-        (18, ..) => Some(
-            "its colours use HLG (cICP), which no ICC profile can express; they are kept unchanged and will look pale",
-        ),
-        (_, 0, 1..) => None,
-        _ => Some(
-            "its colours use the limited range of video (cICP), which no ICC profile can express; they are kept unchanged",
-        ),
-    };
-    if note.is_some() {
-        return CodePoints { icc: None, note };
+/// Returns how a file stores the colours of these code points: primaries, transfer characteristics, matrix, and whether
+/// the range is full. PQ, HLG and the narrow range of video stay code points. Those that state nothing are omitted, and
+/// so are reserved ones.
+pub fn of_cicp(bytes: [u8; 4], is_grey: bool) -> CodePoints {
+    match Cicp::from_bytes(&bytes) {
+        Err(_) => {
+            let note = Some("its code points of colours (cICP) are invalid, and are left out");
+            CodePoints { note, ..CodePoints::default() }
+        }
+        Ok(cicp) if is_beyond_profiles(cicp) => CodePoints { cicp: Some(cicp), ..CodePoints::default() },
+        Ok(cicp) => CodePoints { icc: profile_of_cicp(cicp, is_grey), ..CodePoints::default() },
     }
+}
+
+/// Whether the code points are PQ, HLG or of narrow range. moxcms makes profiles of PQ and HLG, whose light has no bound in
+/// them.
+fn is_beyond_profiles(cicp: Cicp) -> bool {
+    matches!(cicp.transfer(), 16 | 18) || !cicp.is_full_range()
+}
+
+/// Returns a profile with the meaning of code points; `None` if no profile can express them.
+pub fn profile_of_cicp(cicp: Cicp, is_grey: bool) -> Option<Vec<u8>> {
     let parse = || {
-        let color_primaries = CicpColorPrimaries::try_from(primaries).ok()?;
-        let transfer_characteristics = TransferCharacteristics::try_from(transfer).ok()?;
+        if is_beyond_profiles(cicp) {
+            return None;
+        }
+        let color_primaries = CicpColorPrimaries::try_from(cicp.primaries()).ok()?;
+        let transfer_characteristics = TransferCharacteristics::try_from(cicp.transfer()).ok()?;
         let matrix_coefficients = MatrixCoefficients::Identity;
         // Checked first, because moxcms would make a profile of anything else as well.
         let curve = ToneReprCurve::try_from(transfer_characteristics).ok()?;
@@ -116,8 +127,16 @@ pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> 
         let cicp = CicpProfile { color_primaries, transfer_characteristics, matrix_coefficients, full_range: true };
         Some((ColorProfile::new_from_cicp(cicp), curve))
     };
-    let icc = parse().and_then(|(rgb, curve)| encoded(rgb, curve, is_grey));
-    CodePoints { icc, note: None }
+    parse().and_then(|(rgb, curve)| encoded(rgb, curve, is_grey))
+}
+
+/// Returns the profile of a picture for programs that do not know code points: one with the meaning of the code points,
+/// which take precedence, or the profile of the file.
+pub fn profile_or_equivalent(metadata: &Metadata, is_grey: bool) -> Option<Vec<u8>> {
+    match metadata.cicp {
+        Some(cicp) => profile_of_cicp(cicp, is_grey).or_else(|| metadata.icc.clone()),
+        None => metadata.icc.clone(),
+    }
 }
 
 /// Returns the profile of a `gAMA` and a `cHRM` chunk; `None` if they are equivalent to sRGB.
@@ -349,16 +368,21 @@ mod tests {
     }
 
     #[test]
-    fn code_points_become_a_profile_or_a_note() {
+    fn code_points_become_a_profile_or_stay_code_points() {
         let p3 = of_cicp([12, 13, 0, 1], false);
         let expected = primaries(&encode(&ColorProfile::new_display_p3()));
         let found = primaries(p3.icc.as_ref().unwrap());
         assert!(found.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-3), "{found:?}");
         assert!(p3.note.is_none());
         assert!(is_srgb(&of_cicp([1, 13, 0, 1], false).icc.unwrap()));
-        for unsaid in [[9, 16, 0, 1], [9, 18, 0, 1], [1, 13, 0, 0], [1, 13, 1, 1]] {
-            let found = of_cicp(unsaid, false);
-            assert!(found.icc.is_none() && found.note.is_some());
+        for kept in [[9, 16, 0, 1], [9, 18, 0, 1], [1, 13, 0, 0]] {
+            let cicp = Cicp::from_bytes(&kept).ok();
+            assert_eq!(of_cicp(kept, false), CodePoints { cicp, ..CodePoints::default() });
+            assert_eq!(profile_of_cicp(cicp.unwrap(), false), None, "{kept:?}");
+        }
+        for invalid in [[1, 13, 1, 1], [9, 16, 9, 1], [9, 16, 0, 2]] {
+            let found = of_cicp(invalid, false);
+            assert!(found.icc.is_none() && found.cicp.is_none() && found.note.is_some(), "{invalid:?}");
         }
         for unknown in [[2, 2, 0, 1], [255, 13, 0, 1], [1, 255, 0, 1]] {
             assert_eq!(of_cicp(unknown, false), CodePoints::default());

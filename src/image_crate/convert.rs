@@ -1,7 +1,11 @@
 //! Conversion of pictures of the `image` crate to [`Pixels`] and back.
 
+use image::metadata::{
+    CicpColorPrimaries, CicpMatrixCoefficients, CicpTransferCharacteristics, CicpVideoFullRangeFlag,
+};
 use image::{DynamicImage, ExtendedColorType, ImageBuffer};
 
+use crate::bitstream::cicp::Cicp;
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::parameter::Parameter;
@@ -47,6 +51,76 @@ impl TryFrom<DynamicImage> for Pixels {
             other => return Pixels::try_from(&other),
         };
         Pixels::new(width, height, channels, samples)
+    }
+}
+
+impl TryFrom<Cicp> for image::metadata::Cicp {
+    type Error = Error;
+
+    /// # Errors
+    /// [`Error::Parameter`] for primaries and transfer characteristics that `image` has no name for.
+    fn try_from(cicp: Cicp) -> Result<Self> {
+        use {CicpColorPrimaries as P, CicpTransferCharacteristics as T};
+        let primaries = [
+            P::SRgb,
+            P::Unspecified,
+            P::RgbM,
+            P::RgbB,
+            P::Bt601,
+            P::Rgb240m,
+            P::GenericFilm,
+            P::Rgb2020,
+            P::Xyz,
+            P::SmpteRp431,
+            P::SmpteRp432,
+            P::Industry22,
+        ];
+        let transfers = [
+            T::Bt709,
+            T::Unspecified,
+            T::Bt470M,
+            T::Bt470BG,
+            T::Bt601,
+            T::Smpte240m,
+            T::Linear,
+            T::Log100,
+            T::LogSqrt,
+            T::Iec61966_2_4,
+            T::Bt1361,
+            T::SRgb,
+            T::Bt2020_10bit,
+            T::Bt2020_12bit,
+            T::Smpte2084,
+            T::Smpte428,
+            T::Bt2100Hlg,
+        ];
+        let primaries = primaries.into_iter().find(|known| *known as u8 == cicp.primaries());
+        let transfer = transfers.into_iter().find(|known| *known as u8 == cicp.transfer());
+        let (Some(primaries), Some(transfer)) = (primaries, transfer) else {
+            return Err(Error::Parameter {
+                parameter: Parameter::Cicp,
+                problem: format!("{cicp}: unknown to `image`"),
+            });
+        };
+        let full_range = match cicp.is_full_range() {
+            true => CicpVideoFullRangeFlag::FullRange,
+            false => CicpVideoFullRangeFlag::NarrowRange,
+        };
+        Ok(image::metadata::Cicp { primaries, transfer, matrix: CicpMatrixCoefficients::Identity, full_range })
+    }
+}
+
+impl TryFrom<image::metadata::Cicp> for Cicp {
+    type Error = Error;
+
+    /// # Errors
+    /// [`Error::Parameter`] if the matrix coefficients are not [`CicpMatrixCoefficients::Identity`].
+    fn try_from(cicp: image::metadata::Cicp) -> Result<Cicp> {
+        let bytes = [cicp.primaries as u8, cicp.transfer as u8, cicp.matrix as u8, cicp.full_range as u8];
+        Cicp::from_bytes(&bytes).map_err(|_| Error::Parameter {
+            parameter: Parameter::Cicp,
+            problem: format!("matrix coefficients {} are not 0", cicp.matrix as u8),
+        })
     }
 }
 

@@ -15,6 +15,8 @@ use image::error::{UnsupportedError, UnsupportedErrorKind};
 use image::hooks::{register_decoding_hook, register_format_detection_hook};
 use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
 
+use super::colour::profile_or_equivalent;
+use crate::bitstream::cicp::Cicp;
 use crate::bitstream::header::{Header, MAGIC};
 use crate::bitstream::read_rest;
 use crate::decode::{Reader, SplatImage};
@@ -74,6 +76,15 @@ impl<R: Read> SsplatDecoder<R> {
         Ok(SsplatDecoder { reader, header, limits, opened: None })
     }
 
+    /// Returns the code points of the picture's colours, which [`ImageDecoder`] has no method for. They take precedence
+    /// over its profile, and convert to `image::metadata::Cicp` by `try_from`.
+    ///
+    /// # Errors
+    /// As [`read_image`](ImageDecoder::read_image).
+    pub fn cicp(&mut self) -> ImageResult<Option<Cicp>> {
+        Ok(self.opened()?.metadata().cicp)
+    }
+
     /// Returns the file, which is read on first use.
     fn opened(&mut self) -> ImageResult<&mut SplatImage> {
         let opened = match self.opened.take() {
@@ -115,8 +126,10 @@ impl<R: Read> ImageDecoder for SsplatDecoder<R> {
         }
     }
 
+    /// Returns the profile of the file, or one with the meaning of its code points if a profile can express them.
     fn icc_profile(&mut self) -> ImageResult<Option<Vec<u8>>> {
-        Ok(self.opened()?.metadata().icc.clone())
+        let is_grey = self.header.channels.count() < 3;
+        Ok(profile_or_equivalent(self.opened()?.metadata(), is_grey))
     }
 
     fn exif_metadata(&mut self) -> ImageResult<Option<Vec<u8>>> {

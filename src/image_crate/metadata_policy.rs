@@ -3,12 +3,15 @@
 use image::metadata::Orientation;
 
 use super::colour::is_srgb;
+use crate::bitstream::cicp::Cicp;
 use crate::options::MetadataPolicy;
 
 /// Metadata to store in a file, and the sizes of the metadata that are left out.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Carried {
+    /// The code points, for [`Encoder::cicp`](crate::Encoder::cicp).
+    pub cicp: Option<Cicp>,
     /// The ICC profile, for [`Encoder::icc`](crate::Encoder::icc).
     pub icc: Option<Vec<u8>>,
     /// The EXIF block, for [`Encoder::exif`](crate::Encoder::exif).
@@ -23,29 +26,41 @@ pub struct Carried {
 }
 
 impl MetadataPolicy {
-    /// Returns the metadata to store for a picture with this ICC profile, this EXIF block and this orientation. An
-    /// orientation that does not come from an EXIF block, as in TIFF, is stored in a new one.
+    /// Returns the metadata to store for a picture with these code points, this ICC profile, this EXIF block and this
+    /// orientation. [`MetadataPolicy::Needed`] omits a profile that code points override. An orientation that does not come from an EXIF block, as in TIFF, is stored in a new one.
     ///
     /// ```
     /// use image::metadata::Orientation;
     /// use ssplat::MetadataPolicy;
     ///
-    /// let carried = MetadataPolicy::Needed.of(None, Some(vec![0; 20_000]), Orientation::Rotate90);
+    /// let exif = Some(vec![0; 20_000]);
+    /// let carried = MetadataPolicy::Needed.of((None, None), exif, Orientation::Rotate90);
     /// assert_eq!((carried.exif.map(|exif| exif.len()), carried.exif_left_out), (Some(26), 20_000));
     /// ```
     #[cfg(feature = "unstable")]
     #[must_use]
-    pub fn of(self, icc: Option<Vec<u8>>, exif: Option<Vec<u8>>, orientation: Orientation) -> Carried {
-        self.select(icc, exif, orientation)
+    pub fn of(
+        self,
+        colors: (Option<Cicp>, Option<Vec<u8>>),
+        exif: Option<Vec<u8>>,
+        orientation: Orientation,
+    ) -> Carried {
+        self.select(colors, exif, orientation)
     }
 
-    pub(crate) fn select(self, icc: Option<Vec<u8>>, exif: Option<Vec<u8>>, orientation: Orientation) -> Carried {
+    pub(crate) fn select(
+        self,
+        (cicp, icc): (Option<Cicp>, Option<Vec<u8>>),
+        exif: Option<Vec<u8>>,
+        orientation: Orientation,
+    ) -> Carried {
         let is_turned = orientation != Orientation::NoTransforms;
         let alone = || is_turned.then(|| oriented(orientation));
         let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
         let (all_icc, all_exif) = (length(&icc), length(&exif));
         // Pictures without a profile are displayed as sRGB.
-        let icc = icc.filter(|icc| self != MetadataPolicy::Needed || !is_srgb(icc));
+        let icc = icc.filter(|icc| self != MetadataPolicy::Needed || cicp.is_none() && !is_srgb(icc));
+        let cicp = cicp.filter(|_| self != MetadataPolicy::None);
         let (icc, exif) = match self {
             MetadataPolicy::All => (icc, exif.or_else(alone)),
             // A block that contains only the orientation is kept unchanged.
@@ -59,6 +74,7 @@ impl MetadataPolicy {
             // Leaving out a block that can only hold an orientation loses nothing.
             exif_left_out: if length(&exif) < all_exif && all_exif > BLOCK { all_exif } else { 0 },
             is_orientation_left_out: is_turned && exif.is_none(),
+            cicp,
             icc,
             exif,
         }
@@ -95,13 +111,13 @@ mod tests {
     #[test]
     fn the_default_policy_keeps_the_profile_and_the_orientation() {
         for orientation in ALL {
-            let carried = MetadataPolicy::Needed.select(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
+            let carried = MetadataPolicy::Needed.select((None, Some(vec![1; 500])), Some(vec![0; 3000]), orientation);
             assert_eq!((carried.icc, carried.icc_left_out), (Some(vec![1; 500]), 0));
             assert_eq!((carried.exif_left_out, carried.is_orientation_left_out), (3000, false));
             let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
             assert_eq!(said, (orientation != Orientation::NoTransforms).then_some(orientation));
             // A block that was stored once is stored again unchanged.
-            let again = MetadataPolicy::Needed.select(None, carried.exif.clone(), orientation);
+            let again = MetadataPolicy::Needed.select((None, None), carried.exif.clone(), orientation);
             assert_eq!((&again.exif, again.exif_left_out), (&carried.exif, 0));
         }
     }
@@ -109,7 +125,7 @@ mod tests {
     #[test]
     fn omitted_metadata_is_reported() {
         let of = |carry: MetadataPolicy, exif: Option<Vec<u8>>| {
-            carry.select(Some(vec![1; 500]), exif, Orientation::Rotate180)
+            carry.select((None, Some(vec![1; 500])), exif, Orientation::Rotate180)
         };
         let all = of(MetadataPolicy::All, Some(vec![2; 90]));
         assert_eq!((all.icc_left_out, all.exif_left_out, all.is_orientation_left_out), (0, 0, false));
@@ -127,11 +143,27 @@ mod tests {
     }
 
     #[test]
+    fn code_points_replace_a_profile_unless_all_metadata_are_kept() {
+        let icc = || Some(vec![1; 500]);
+        let of =
+            |policy: MetadataPolicy| policy.select((Some(Cicp::BT2100_PQ), icc()), None, Orientation::NoTransforms);
+        for (policy, expected) in [
+            (MetadataPolicy::Needed, (Some(Cicp::BT2100_PQ), None)),
+            (MetadataPolicy::All, (Some(Cicp::BT2100_PQ), icc())),
+            (MetadataPolicy::Icc, (Some(Cicp::BT2100_PQ), icc())),
+            (MetadataPolicy::None, (None, None)),
+        ] {
+            let carried = of(policy);
+            assert_eq!((carried.cicp, carried.icc), expected, "{policy:?}");
+        }
+    }
+
+    #[test]
     fn an_orientation_without_exif_is_stored_in_a_new_block() {
         for carry in [MetadataPolicy::All, MetadataPolicy::Needed] {
-            let exif = carry.select(None, None, Orientation::Rotate270).exif;
+            let exif = carry.select((None, None), None, Orientation::Rotate270).exif;
             assert_eq!(exif.as_deref().and_then(Orientation::from_exif_chunk), Some(Orientation::Rotate270));
-            assert_eq!(carry.select(None, None, Orientation::NoTransforms), Carried::default());
+            assert_eq!(carry.select((None, None), None, Orientation::NoTransforms), Carried::default());
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Interface to the `image` crate: the decoding hook, the encoder trait and pixel conversions.
 
-#[cfg(feature = "encode")]
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder compares and makes other profiles"))]
 pub(crate) mod colour;
 mod convert;
 mod decoder;

@@ -8,6 +8,10 @@ use image::{DynamicImage, ImageDecoder, ImageResult, Rgba};
 
 use super::colour::{of_cicp, of_gamma};
 use super::overlay::Replacements;
+use crate::bitstream::cicp::Cicp;
+use crate::bitstream::header::MAGIC;
+use crate::decode::Reader;
+use crate::limits::Limits;
 
 /// Maximum length of an ICC profile that is read from a picture of another format, bytes, decompressed. Profiles of
 /// displays and cameras have up to 1 MB, those of printers up to 3 MB. Longer profiles are left out.
@@ -47,6 +51,8 @@ pub struct Chunk {
 /// What a file states about its colours in addition to the profile that its decoder finds.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Stated {
+    /// Code points that no profile can express.
+    pub cicp: Option<Cicp>,
     /// A profile with the same meaning.
     icc: Option<Vec<u8>>,
     /// Whether it takes precedence over the profile that the decoder finds.
@@ -57,7 +63,7 @@ pub struct Stated {
     is_too_long: bool,
     /// The file has a compressed profile, which its decoder reads.
     has_packed: bool,
-    /// A note for the user about what no profile can express.
+    /// A note for the user about colours that are left out.
     #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "only the program and the encoder ask for it"))]
     pub note: Option<&'static str>,
     /// Whether decoders return all pictures of the format with alpha.
@@ -194,6 +200,7 @@ pub fn look(reader: &mut (impl BufRead + Seek), profiles: Profiles) -> io::Resul
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff(reader, &mut stated),
         [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => webp(reader, &mut stated),
         [0xFF, 0xD8, 0xFF, ..] => jpeg(reader, profiles, &mut stated),
+        [a, b, c, d, ..] if [*a, *b, *c, *d] == MAGIC => ssplat(reader, &mut stated),
         [b'G', b'I', b'F', b'8', ..] => {
             stated.always_has_alpha = true;
             Ok(())
@@ -203,7 +210,7 @@ pub fn look(reader: &mut (impl BufRead + Seek), profiles: Profiles) -> io::Resul
     reader.rewind()?;
     up_to_the_end(found)?;
     if profiles == Profiles::Ignore {
-        stated.icc = None;
+        (stated.icc, stated.cicp) = (None, None);
         (stated.is_too_long, stated.has_packed, stated.ignores_decoder) = (false, false, true);
     }
     Ok(stated)
@@ -251,6 +258,17 @@ impl Stated {
     }
 }
 
+/// Reads the code points of an ssplat file, which `image` has no way to return. Other errors are left to the decoder.
+fn ssplat(reader: &mut impl Read, stated: &mut Stated) -> io::Result<()> {
+    /// More than the header and the heads of the sections.
+    const HEADS: u64 = 1 << 12;
+    let mut bytes = Vec::new();
+    reader.by_ref().take(Limits::default().metadata + HEADS).read_to_end(&mut bytes)?;
+    let metadata = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.metadata());
+    stated.cicp = metadata.ok().and_then(|metadata| metadata.cicp);
+    Ok(())
+}
+
 /// The first byte of the names of hidden PNG chunks. It makes a name that no decoder knows, and of a chunk that may be
 /// ignored.
 const HIDDEN_CHUNK: u8 = b'x';
@@ -275,7 +293,14 @@ fn png(reader: &mut (impl Read + Seek), profiles: Profiles, stated: &mut Stated)
                     let header: [u8; 13] = bytes(reader)?;
                     (is_grey, read) = ([0, 4].contains(&header[9]), 13);
                 }
-                (b"cICP", 4) if !is_after_pixels => (cicp, read) = (Some(bytes::<4>(reader)?), 4),
+                (b"cICP", 4) if !is_after_pixels => {
+                    let found: [u8; 4] = bytes(reader)?;
+                    (cicp, read) = (Some(found), 4);
+                    // The decoder would refuse the picture.
+                    if Cicp::from_bytes(&found).is_err() {
+                        stated.hide(start + 4, HIDDEN_CHUNK)?;
+                    }
+                }
                 (b"gAMA", 4) if !is_after_pixels => {
                     (gamma, read) = (Some(f64::from(u32::from_be_bytes(bytes(reader)?)) / 1e5), 4);
                 }
@@ -337,6 +362,10 @@ fn png(reader: &mut (impl Read + Seek), profiles: Profiles, stated: &mut Stated)
     if stated.exif.is_some() {
         stated.exif_text = None;
     }
+    let found = cicp.map(|cicp| of_cicp(cicp, is_grey)).unwrap_or_default();
+    stated.note = found.note;
+    // Invalid code points count as none.
+    let cicp = cicp.filter(|_| found.note.is_none());
     let is_hidden = profiles == Profiles::Ignore || cicp.is_some();
     stated.has_packed = !packed.is_empty() && !is_hidden;
     if is_hidden {
@@ -346,9 +375,8 @@ fn png(reader: &mut (impl Read + Seek), profiles: Profiles, stated: &mut Stated)
         }
         stated.hidden.sort_unstable();
     }
-    if let Some(cicp) = cicp {
-        let found = of_cicp(cicp, is_grey);
-        (stated.note, stated.is_first, stated.icc) = (found.note, found.icc.is_some(), found.icc);
+    if cicp.is_some() {
+        (stated.cicp, stated.is_first, stated.icc) = (found.cicp, found.icc.is_some(), found.icc);
         stated.is_too_long = false;
     } else if !has_srgb && !stated.has_packed {
         stated.icc = of_gamma(gamma, chromaticities, is_grey);

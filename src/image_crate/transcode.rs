@@ -22,8 +22,8 @@ use crate::pixels::Pixels;
 ///
 /// It reads ssplat and all formats that `image` is built with, recognized by content or extension.
 /// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
-/// [`save`](super::save) lose both; this function keeps them. An ICC profile or EXIF block in `options` replaces that
-/// of the picture.
+/// [`save`](super::save) lose both; this function keeps them. Code points, an ICC profile or an EXIF block in `options`
+/// replace those of the picture.
 ///
 /// # Errors
 /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input`,
@@ -39,7 +39,7 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     };
     let io = |e: std::io::Error| Error::at(path, e);
     let mut reader = BufReader::new(File::open(path).map_err(io)?);
-    let is_used = options.metadata != MetadataPolicy::None && options.icc.is_none();
+    let is_used = options.metadata != MetadataPolicy::None && options.icc.is_none() && options.cicp.is_none();
     let profiles = if is_used { Profiles::Read } else { Profiles::Ignore };
     let stated = stated::look(&mut reader, profiles).map_err(io)?;
     let decoder = input::open(reader, path, &stated, &input::limits()).map_err(failed)?;
@@ -70,8 +70,12 @@ fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &Encod
     let pixels = Pixels::try_from(stated.corrected(input::picture(decoder).map_err(failed)?))?;
     // The profile of a CMYK picture does not match the RGB pixels to which it is converted.
     let icc = icc.filter(|icc| misfit(icc, pixels.channels().count() < 3).is_none());
-    let carried = options.metadata.select(icc, exif, orientation);
+    // Colours in the options replace all that the picture states.
+    let has_colors = options.cicp.is_some() || options.icc.is_some();
+    let colors = if has_colors { (None, None) } else { (stated.cicp, icc) };
+    let carried = options.metadata.select(colors, exif, orientation);
     let mut options = options.clone();
+    options.cicp = options.cicp.or(carried.cicp);
     options.icc = options.icc.or(carried.icc);
     options.exif = options.exif.or(carried.exif);
     encode(&pixels, &options)
@@ -83,10 +87,10 @@ impl Encoder {
     ///
     /// It reads ssplat and all formats that `image` is built with, recognized by content or extension. A
     /// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
-    /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile or EXIF block that is set on the
-    /// encoder with [`icc`](Encoder::icc) or [`exif`](Encoder::exif) replaces that of the picture. What a PNG states
-    /// about its colours without a profile (cICP, gAMA, cHRM) becomes a profile, except for PQ and HLG, which no
-    /// profile can express. [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) omits a profile that is
+    /// [`save`](Encoder::save) lose both; this method keeps them. Colours or an EXIF block that are set on the encoder
+    /// with [`cicp`](Encoder::cicp), [`icc`](Encoder::icc) or [`exif`](Encoder::exif) replace those of the picture. What
+    /// a PNG states about its colours without a profile (cICP, gAMA, cHRM) becomes a profile; PQ and HLG, which no
+    /// profile can express, are stored as code points ([`Cicp`](crate::Cicp)). [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) omits a profile that is
     /// equivalent to sRGB. A profile of more than 4 MiB, decompressed, is omitted, and so is one that does not match
     /// the channels of the picture. A TIFF with premultiplied alpha is converted to straight alpha.
     ///

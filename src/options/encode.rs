@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use crate::bitstream::splats::{Layout, Steps};
+use crate::bitstream::cicp::Cicp;
+use crate::bitstream::splats::{Layout, Metadata, Steps};
 use crate::gaussian::Blend;
 use crate::target::Target;
 
@@ -146,19 +147,19 @@ pub enum HiddenColors {
     Keep,
 }
 
-/// Metadata of the source that a file carries. ICC profile and EXIF block count as bytes of the file.
+/// Metadata of the source that a file carries. They count as bytes of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum MetadataPolicy {
-    /// Everything needed to show the picture as intended: the ICC profile, and the orientation as an EXIF block of 26
-    /// bytes if the picture has to be rotated or mirrored. The rest of the EXIF block is omitted, and so is a profile
+    /// Everything needed to show the picture as intended: the ICC profile, or code points for colours that no profile
+    /// can express, such as PQ and HLG, and the orientation as an EXIF block of 26 bytes if the picture has to be rotated or mirrored. The rest of the EXIF block is omitted, and so is a profile
     /// that is equivalent to sRGB (all 8-bit code values mean the same colours, within 1), because pictures without a
     /// profile are shown as sRGB.
     #[default]
     Needed,
-    /// The ICC profile and the whole EXIF block, with everything that a camera writes, such as place, time and model.
+    /// The ICC profile or code points and the whole EXIF block, with everything that a camera writes, such as place, time and model.
     All,
-    /// The ICC profile only. A picture that has to be rotated or mirrored is shown without that.
+    /// The ICC profile or code points only. A picture that has to be rotated or mirrored is shown without that.
     Icc,
     /// No metadata.
     None,
@@ -243,6 +244,8 @@ pub struct EncodeOptions {
     pub outside: Outside,
     /// Metadata of the source that `transcode` and `encode_decoder` copy into the file. Plain pixels have none.
     pub metadata: MetadataPolicy,
+    /// Code points of the colours to store, regardless of `metadata`.
+    pub cicp: Option<Cicp>,
     /// ICC profile to store, regardless of `metadata`.
     pub icc: Option<Vec<u8>>,
     /// EXIF block to store, from its TIFF header on, regardless of `metadata`.
@@ -253,6 +256,18 @@ pub struct EncodeOptions {
 }
 
 impl EncodeOptions {
+    /// Returns the metadata to store in a file, without a thumbnail.
+    pub(crate) fn stored(&self) -> Metadata {
+        let (cicp, icc, exif) = (self.cicp, self.icc.clone(), self.exif.clone());
+        Metadata { cicp, icc, exif, ..Metadata::default() }
+    }
+
+    /// Returns the lengths of the metadata to store, bytes.
+    pub(crate) fn stored_lengths(&self) -> impl Iterator<Item = u64> {
+        let blocks = [&self.icc, &self.exif].into_iter().flatten().map(|block| block.len() as u64);
+        self.cicp.iter().map(|cicp| cicp.to_bytes().len() as u64).chain(blocks)
+    }
+
     /// Returns the quality measure that the fit optimizes with these options.
     #[must_use]
     pub fn favoured(&self) -> Tune {
@@ -284,6 +299,7 @@ impl Default for EncodeOptions {
             precision: None,
             outside: Outside::default(),
             metadata: MetadataPolicy::Needed,
+            cicp: None,
             icc: None,
             exif: None,
             has_alternative: false,

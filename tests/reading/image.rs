@@ -505,3 +505,32 @@ fn save_replaces_a_file_atomically_and_leaves_no_temporary_file() {
     assert!(ssplat::unstable::save(&ramps(ColorType::Rgb8), folder.path().join("folder"), &quick()).is_err());
     assert_eq!(names(), ["a.ssplat", "folder", "link.ssplat"]);
 }
+
+#[test]
+fn code_points_reach_programs_that_use_image() {
+    use ssplat::Cicp;
+    let file = |cicp, icc: Option<Vec<u8>>| {
+        let mut options = roomy();
+        (options.cicp, options.icc) = (Some(cicp), icc);
+        ssplat::unstable::encode(&Pixels::try_from(ramps(ColorType::Rgb8)).unwrap(), &options).unwrap().bytes
+    };
+    let hdr = file(Cicp::BT2100_PQ, Some(vec![3; 300]));
+    let mut decoder = SsplatDecoder::new(&hdr[..]).unwrap();
+    assert_eq!(decoder.cicp().unwrap(), Some(Cicp::BT2100_PQ));
+    // No profile can express them, so that of the file is all there is.
+    assert_eq!(decoder.icc_profile().unwrap(), Some(vec![3; 300]));
+    // Others become a profile, which takes the place of that of the file.
+    let p3 = file(Cicp::new(12, 13), Some(vec![3; 300]));
+    let icc = SsplatDecoder::new(&p3[..]).unwrap().icc_profile().unwrap().unwrap();
+    assert!(icc.len() > 300 && !ssplat::unstable::colour::is_srgb(&icc));
+
+    for cicp in [Cicp::BT2100_PQ, Cicp::BT2100_HLG, Cicp::new(12, 13), Cicp::from_bytes(&[1, 13, 0, 0]).unwrap()] {
+        let of_image = image::metadata::Cicp::try_from(cicp).unwrap();
+        assert_eq!(Cicp::try_from(of_image).unwrap(), cicp);
+    }
+    assert_eq!(image::metadata::Cicp::try_from(Cicp::new(12, 13)).unwrap(), image::metadata::Cicp::DISPLAY_P3);
+    assert!(image::metadata::Cicp::try_from(Cicp::new(200, 13)).is_err());
+    let mut ycbcr = image::metadata::Cicp::SRGB;
+    ycbcr.matrix = image::metadata::CicpMatrixCoefficients::Bt709;
+    assert!(Cicp::try_from(ycbcr).unwrap_err().to_string().contains("cicp"));
+}

@@ -18,7 +18,7 @@ use ssplat::unstable::bitstream::lattice::Lattice;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, read, read_partial, to_bytes};
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Error, Limits, Pixels, Result, Samples};
+use ssplat::{Blend, Channels, Cicp, Depth, Error, Limits, Pixels, Result, Samples};
 
 /// The folders of the vectors.
 const FOLDERS: [&str; 5] = ["valid", "invalid", "limits", "reduced", "partial"];
@@ -285,6 +285,19 @@ fn valid() -> Vec<Vector> {
     let mut with = two(Packed);
     with.metadata.thumbnail = Some(bytes(&small));
     add("sections-thumbnail", "a thumbnail of half the sides, a file of its own", bytes(&with));
+    let mut with = two(Packed);
+    with.metadata.cicp = Some(Cicp::BT2100_PQ);
+    let cicp = bytes(&with);
+    add("cicp", "the code points 9, 16, 0, 1: BT.2020 primaries, PQ, full range", cicp.clone());
+    with.metadata.icc = Some(b"not a real profile".to_vec());
+    with.metadata.cicp = Cicp::from_bytes(&[255, 200, 0, 0]).ok();
+    add("cicp-and-profile", "reserved code points of narrow range, beside an ICC profile", bytes(&with));
+    add("cicp-damaged", "code points with a wrong checksum and an illegal matrix: the picture decodes without them", {
+        let mut hurt = cicp;
+        let at = hurt.windows(4).position(|w| w == [9, 16, 0, 1]).unwrap();
+        hurt[at + 2] = 9;
+        hurt
+    });
     add("sections-unknown", "an optional section that this version does not know", renamed(&carried, b"iccp", b"zzzz"));
     add("sections-most", "64 sections, the most", with_sections(&bytes(&two(Packed)), 64));
     out
@@ -439,6 +452,21 @@ fn invalid() -> Vec<Vector> {
     add("section-critical", "a critical section that this version does not know", renamed(&sections, b"exif", b"Newx"));
     add("section-order", "sections out of order", renamed(&sections, b"exif", b"zzzz"));
     add("section-name", "a section whose name is not made of letters", renamed(&sections, b"exif", b"ex1f"));
+    let mut with = two(Packed);
+    with.metadata.cicp = Some(Cicp::BT2100_PQ);
+    let cicp = to_bytes(&with).unwrap();
+    let at = cicp.windows(4).position(|w| w == [9, 16, 0, 1]).unwrap();
+    let other = |contents: &[u8]| {
+        let mut bytes = cicp.clone();
+        bytes.splice(at..at + 4, contents.iter().copied());
+        bytes[at - 5] = contents.len() as u8;
+        renamed(&bytes, b"cicp", b"cicp")
+    };
+    add("cicp-empty", "code points of no bytes", other(&[]));
+    add("cicp-short", "code points of three bytes", other(&[9, 16, 0]));
+    add("cicp-long", "code points of five bytes", other(&[9, 16, 0, 1, 0]));
+    add("cicp-matrix", "code points with matrix coefficients of YCbCr", other(&[9, 16, 9, 1]));
+    add("cicp-range", "code points with a full-range flag of 2", other(&[9, 16, 0, 2]));
     add("section-none", "the flag for sections, and none", {
         let mut bytes = changed(&packed, 5, packed[5] | 0x80);
         bytes.insert(12, 0);

@@ -7,8 +7,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use ssplat::unstable::{EncodeOptions, encode, metrics};
 use ssplat::{
-    Blend, Channels, Decoder, Depth, Detail, Encoded, Encoder, Error, Gaussian, Gaussians, HiddenColors, Layout, Limit,
-    Limits, Pixels, Samples, Target, Thumbnail, Tune,
+    Blend, Channels, Cicp, Decoder, Depth, Detail, Encoded, Encoder, Error, Gaussian, Gaussians, HiddenColors, Layout,
+    Limit, Limits, Pixels, Reader, Samples, Target, Thumbnail, Tune,
 };
 use std::time::Duration;
 
@@ -133,9 +133,11 @@ impl Case {
         options.exif = one_of(rng, &[None, None, None, Some(20_000)]).map(|n| vec![9; n]);
         options.time = one_of(rng, &[None, None, None, None, Some(Duration::from_millis(20))]);
         options.seed = rng.random_range(0..3);
+        options.cicp = one_of(rng, &[None, None, Some(Cicp::BT2100_PQ)]);
         // The size is that of the picture; the metadata comes on top.
         if let Target::Bytes(bytes) = &mut options.target {
             *bytes += [&options.icc, &options.exif].into_iter().flatten().map(|m| m.len() as u64 + 12).sum::<u64>();
+            *bytes += if options.cicp.is_some() { 14 } else { 0 };
         }
         Case { kind, alpha, depth, pixels, options }
     }
@@ -197,15 +199,18 @@ fn check(case: &Case) {
     if options.time.is_some() {
         return;
     }
+    let carried = Reader::new(&encoded.bytes, &Limits::default()).unwrap().metadata().unwrap();
+    assert_eq!((carried.cicp, carried.icc, carried.exif), (options.cicp, options.icc.clone(), options.exif.clone()));
     // The picture is the same whatever rides along.
-    if options.icc.is_some() || options.exif.is_some() {
+    if options.cicp.is_some() || options.icc.is_some() || options.exif.is_some() {
         let mut plain = options.clone();
-        (plain.icc, plain.exif) = (None, None);
+        (plain.cicp, plain.icc, plain.exif) = (None, None, None);
         if let Target::Bytes(bytes) = &mut plain.target {
             // Each section has a name of 4 bytes, a length of 2 or 3 and a checksum of 4; their number takes a byte.
             let sections = [&options.icc, &options.exif].into_iter().flatten().map(|m| m.len() + 8);
             let lengths = options.icc.iter().map(|_| 2).chain(options.exif.iter().map(|_| 3));
-            *bytes -= (1 + sections.sum::<usize>() + lengths.sum::<usize>()) as u64;
+            let cicp = if options.cicp.is_some() { 4 + 8 + 1 } else { 0 };
+            *bytes -= (1 + sections.sum::<usize>() + lengths.sum::<usize>() + cicp) as u64;
         }
         if !matches!(options.target, Target::Ratio(_)) {
             let (_, other) = checked(pixels, &plain).expect("the same file without metadata");

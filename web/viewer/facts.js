@@ -45,7 +45,7 @@ export function facts(info) {
     ...fields.length ? shares("Bits of a Gaussian", fields, bits => (bits / info.primitives).toFixed(2)) : [],
     ...info.sections.length ? [make("h2", ["Sections, bytes"]), table(info.sections.map(s => [s.name, number(s.bytes)]))] : [],
     make("h2", ["Picture"]),
-    table([["Size", `${info.width} × ${info.height}`], ["Channels", kinds[info.channels]], ["Depth", `${info.depth} bits`], ["Orientation", info.orientation], ["ICC profile", info.icc.length ? `${number(info.icc.length)} bytes` : "none"], ["EXIF", info.exif.length ? `${number(info.exif.length)} bytes` : "none"]]),
+    table([["Size", `${info.width} × ${info.height}`], ["Channels", kinds[info.channels]], ["Depth", `${info.depth} bits`], ["Orientation", info.orientation], ...info.cicp?.length ? [["Code points", info.cicp.join(", ")]] : [], ["ICC profile", info.icc.length ? `${number(info.icc.length)} bytes` : "none"], ["EXIF", info.exif.length ? `${number(info.exif.length)} bytes` : "none"]]),
     make("h2", ["Format"]),
     table([["Version", info.version], ["Layout", info.layout], ["Blend", info.blend], ["Levels", Math.max(1, info.levels.length)], ["Groups", info.groups], ["Codebook", info.codebook || "none"]]),
   ]

@@ -105,7 +105,7 @@ async function open(bytes, name, made, originalBytes) {
     ;[file, info, all] = [bytes, read, gaussians]
     tones = info.each.length ? { bits: tonesOfBits(info.each) } : {}
     mask = info.cells.length ? new Mask(info) : undefined
-    device?.load(all, info.blend, colorSpace(info.icc))
+    device?.load(all, info.blend, colorSpace(info.icc, info.cicp))
     const { width, height, channels } = info
     occupy({ width, height, alpha: channels % 2 == 0 }, name)
     get("summary").textContent = summary(info)
@@ -467,7 +467,7 @@ const draw = asked.get("draw"), takes = name => !draw || draw == name
 function use(next) {
   device = next || takes("webgl") && Splatting.create() || undefined
   if (next) next.onlost = () => use()
-  if (all) device?.load(all, info.blend, colorSpace(info.icc))
+  if (all) device?.load(all, info.blend, colorSpace(info.icc, info.cicp))
   show()
 }
 if (!get("held-file") && !asked.get("file")) {

@@ -1,9 +1,10 @@
-//! Serves the viewer and its files to this machine only, until the program is ended.
+//! Serves the viewer and its files to this machine only, until the program is ended or nothing is requested any more.
 
 use std::io;
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::sync::Mutex;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::Shown;
 use super::http::{self, Body, Request};
@@ -40,8 +41,8 @@ struct Served {
     start: String,
 }
 
-/// Serves until the program is ended.
-pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result<(), Failure> {
+/// Serves until the program is ended, or until nothing was requested for the time `idle`, if that is given.
+pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens, idle: Option<Duration>) -> Result<(), Failure> {
     let failed = |e: io::Error| Failure { kind: Kind::Other, message: format!("server: {e}") };
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed)?;
     let port = listener.local_addr().map_err(failed)?.port();
@@ -57,7 +58,11 @@ pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result
     let url = format!("http://{}{start}", hosts[0]);
     let served = Served { file, original, hosts, start };
     say(&format!("{url}\n"))?;
-    eprintln!("ssplat: serving the page until Ctrl-C");
+    match idle {
+        None => eprintln!("ssplat: serving the page until Ctrl-C"),
+        Some(idle) => eprintln!("ssplat: serving the page until {} seconds pass without a request", idle.as_secs()),
+    }
+    let last = Mutex::new(Instant::now());
     if let Opens::Browser = opens {
         // Opening a browser may take a while.
         thread::spawn(move || {
@@ -67,12 +72,28 @@ pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result
         });
     }
     thread::scope(|scope| {
+        if let Some(idle) = idle {
+            let last = &last;
+            scope.spawn(move || {
+                loop {
+                    let since = last.lock().unwrap_or_else(|e| e.into_inner()).elapsed();
+                    match idle.checked_sub(since) {
+                        Some(left) if !left.is_zero() => thread::sleep(left),
+                        // The other threads wait for requests, which do not come. Nothing is left to clean up.
+                        _ => std::process::exit(0),
+                    }
+                }
+            });
+        }
         for _ in 0..THREADS {
             scope.spawn(|| {
                 loop {
                     match listener.accept() {
                         // A client that closes the connection early does not need the response.
-                        Ok((mut stream, _)) => drop(served.answer(&mut stream)),
+                        Ok((mut stream, _)) => {
+                            *last.lock().unwrap_or_else(|e| e.into_inner()) = Instant::now();
+                            drop(served.answer(&mut stream));
+                        }
                         Err(_) => thread::sleep(PAUSE),
                     }
                 }

@@ -77,6 +77,23 @@ fn files_have_their_own_channels_and_depth_and_the_pixels_that_they_were_made_of
     }
 }
 
+/// The bytes of a file with other colour primaries and transfer characteristics in its box `colr`.
+fn with_code_points(name: &str, primaries: u8, transfer: u8) -> Vec<u8> {
+    let mut bytes = fs::read(path(name)).unwrap();
+    let at = bytes.windows(8).position(|word| word == b"colrnclx").unwrap() + 8;
+    (bytes[at + 1], bytes[at + 3]) = (primaries, transfer);
+    bytes
+}
+
+#[test]
+fn code_points_are_kept_or_become_a_profile() {
+    assert_eq!(open("rgb-10.avif", Turn::Keep).cicp, None);
+    let hdr = read(with_code_points("rgb-10.avif", 9, 16)).unwrap();
+    assert_eq!((hdr.cicp, hdr.icc), (Some(ssplat::Cicp::BT2100_PQ), None));
+    let p3 = read(with_code_points("rgb.avif", 12, 13)).unwrap();
+    assert!(p3.cicp.is_none() && p3.icc.is_some());
+}
+
 #[test]
 fn a_turned_file_is_turned_and_a_mirrored_one_refused() {
     assert_eq!(open("turned.avif", Turn::Keep).orientation, Orientation::Rotate270);

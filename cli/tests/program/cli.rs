@@ -1157,6 +1157,42 @@ fn skipped_files_of_a_folder_are_reported() {
 }
 
 #[test]
+fn an_update_replaces_outputs_that_are_older_than_their_inputs() {
+    use std::time::{Duration, SystemTime};
+    let folder = Folder::new();
+    fs::create_dir_all(folder.path("in")).unwrap();
+    for name in ["in/a.png", "in/b.png", "in/c.png"] {
+        small().save(folder.path(name)).unwrap();
+    }
+    let (input, out) = (folder.path("in"), folder.path("out"));
+    let update = || succeeds(many(&[&input], &out, &["--update"]));
+    let first = update();
+    let file = |name: &str| out.join(name);
+    let bytes: u64 =
+        ["a", "b", "c"].map(|name| fs::metadata(file(&format!("{name}.ssplat"))).unwrap().len()).iter().sum();
+    // What was read and written, and how long that took.
+    assert!(
+        first.contains("3 files done, 0 skipped, 0 failed; ") && first.contains(&format!(" became {bytes} bytes (")),
+        "{first}"
+    );
+    assert!(update().contains("0 files done, 3 skipped, 0 failed\n"));
+    let set = |path: PathBuf, time| fs::File::options().append(true).open(path).unwrap().set_modified(time).unwrap();
+    let now = SystemTime::now();
+    fs::write(file("a.ssplat"), "stale").unwrap();
+    // Equal times, as `--keep-times` leaves them, count as up to date.
+    for (name, difference) in [("a", 10), ("b", 0)] {
+        set(folder.path(&format!("in/{name}.png")), now);
+        set(file(&format!("{name}.ssplat")), now - Duration::from_secs(difference));
+    }
+    fs::remove_file(file("c.ssplat")).unwrap();
+    assert!(update().contains("2 files done, 1 skipped, 0 failed"));
+    assert!(fs::read(file("a.ssplat")).unwrap() != b"stale" && file("c.ssplat").exists());
+    for other in ["--overwrite", "--skip-existing"] {
+        assert_eq!(many(&[&input], &out, &["--update", other]).status.code(), Some(2));
+    }
+}
+
+#[test]
 #[cfg(unix)]
 fn an_interrupt_leaves_only_complete_files() {
     let folder = Folder::new();
@@ -1166,10 +1202,10 @@ fn an_interrupt_leaves_only_complete_files() {
         fs::copy(PHOTO, folder.path(&format!("in/{i}.png"))).unwrap();
     }
     let out = folder.path("out");
-    let mut child = command(&[&"encode", &folder.path("in"), &"--out-dir", &out, &"--ratio", &"20", &"--effort", &"8"])
+    let child = command(&[&"encode", &folder.path("in"), &"--out-dir", &out, &"--ratio", &"20", &"--effort", &"8"])
         .args(["--jobs", "2"])
         .stdout(Stdio::null())
-        .stderr(Stdio::null())
+        .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let start = std::time::Instant::now();
@@ -1178,7 +1214,12 @@ fn an_interrupt_leaves_only_complete_files() {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let ended = child.wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(130));
+    // The first file has its name just before it counts.
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert!(said.contains("interrupted: ") && said.contains(" of 3 files done"), "{said}");
+    assert!(said.contains("--skip-existing goes on from here"), "{said}");
     let names: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names, ["0.ssplat"]);
     succeeds(ssplat(&[&"info", &out.join("0.ssplat")]));

@@ -19,6 +19,11 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
+/// As [`said`], for where that name is taken.
+fn told(output: &Output) -> String {
+    said(output)
+}
+
 fn picture() -> RgbImage {
     RgbImage::from_fn(64, 40, |x, y| image::Rgb([x as u8 * 4, y as u8 * 6, (x * y / 10) as u8]))
 }
@@ -90,10 +95,69 @@ fn colours_that_a_png_states_become_a_profile_unless_they_are_srgb() {
         let reader = ssplat::Reader::new(&bytes, &ssplat::Limits::default()).unwrap();
         assert!(reader.read(ssplat::Damage::Refuse).unwrap().metadata().icc.as_ref() == Some(&icc));
     }
-    for (transfer, name) in [(16, "PQ"), (18, "HLG")] {
-        let (icc, said) = other(&[(b"cICP", &[9, transfer, 0, 1])]);
-        assert!(icc.is_none() && said.contains(name), "{said}");
+}
+
+/// Returns the contents of the first chunk `name` of a PNG.
+fn chunk_of(png: &[u8], name: &[u8; 4]) -> Option<Vec<u8>> {
+    let at = png.windows(4).position(|w| w == name)?;
+    let length = u32::from_be_bytes(png[at - 4..at].try_into().unwrap()) as usize;
+    Some(png[at + 4..at + 4 + length].to_vec())
+}
+
+#[test]
+fn pq_hlg_and_narrow_range_pass_from_png_to_png() {
+    let folder = Folder::new();
+    let path = |name: &str| folder.root().join(name).to_str().unwrap().to_owned();
+    for (bytes, name) in [
+        ([9, 16, 0, 1], "BT.2020 primaries, PQ, full range"),
+        ([9, 18, 0, 1], "BT.2020 primaries, HLG, full range"),
+        ([1, 13, 0, 0], "BT.709 primaries, sRGB transfer, narrow range"),
+    ] {
+        // A profile beside code points is ignored, as in PNG.
+        let profile = [&b"p\0\0"[..], &[0x78, 0x9c, 3, 0, 0, 0, 0, 1]].concat();
+        folder.file("a.png", &png_with(&[(b"cICP", &bytes), (b"iCCP", &profile)]));
+        for more in [&[][..], &["--tiles=128"], &["--max-side", "32"], &["--auto-orient"], &["--metadata", "all"]] {
+            let (icc, said) = profile_of(&folder, Path::new(&path("a.png")), more);
+            assert!(icc.is_none() && !said.contains("cICP"), "{more:?}: {said}");
+            let info = ssplat(&["info", &path("o.ssplat")]);
+            let text = String::from_utf8_lossy(&info.stdout).into_owned();
+            assert!(text.contains(&format!("colours     {name}\n")), "{more:?}: {text}");
+            for more in [&[][..], &["--auto-orient"], &["--thumbnail", "20"]] {
+                let found = ssplat(&[&["decode", &path("o.ssplat"), &path("b.png")][..], more].concat());
+                assert!(found.status.success() && found.stderr.is_empty(), "{}", told(&found));
+                let png = fs::read(path("b.png")).unwrap();
+                assert_eq!(chunk_of(&png, b"cICP"), Some(bytes.to_vec()), "{more:?}");
+                assert!(png.windows(4).position(|w| w == b"cICP") < png.windows(4).position(|w| w == b"IDAT"));
+            }
+        }
+        // JPEG has no code points.
+        let jpeg = ssplat(&["decode", &path("o.ssplat"), &path("b.jpg")]);
+        assert!(jpeg.status.success() && told(&jpeg).contains(name), "{}", told(&jpeg));
+        // By the library, and from one ssplat file to another.
+        ssplat::Encoder::new().effort(1).bytes(2000).transcode(path("a.png"), path("t.ssplat")).unwrap();
+        ssplat::Encoder::new().effort(1).bytes(2000).transcode(path("t.ssplat"), path("u.ssplat")).unwrap();
+        for file in ["t.ssplat", "u.ssplat"] {
+            let file = fs::read(path(file)).unwrap();
+            let metadata = ssplat::Reader::new(&file, &ssplat::Limits::default()).unwrap().metadata().unwrap();
+            assert_eq!((metadata.cicp, metadata.icc), (ssplat::Cicp::from_bytes(&bytes).ok(), None));
+        }
+        // The user's own profile replaces them.
+        let icc = vec![1; 200];
+        ssplat::Encoder::new()
+            .effort(1)
+            .bytes(2000)
+            .icc(icc.clone())
+            .transcode(path("a.png"), path("t.ssplat"))
+            .unwrap();
+        let file = fs::read(path("t.ssplat")).unwrap();
+        let metadata = ssplat::Reader::new(&file, &ssplat::Limits::default()).unwrap().metadata().unwrap();
+        assert_eq!((metadata.cicp, metadata.icc), (None, Some(icc)));
+        let (_, said) = profile_of(&folder, Path::new(&path("a.png")), &["--metadata", "none"]);
+        let info = String::from_utf8_lossy(&ssplat(&["info", &path("o.ssplat")]).stdout).into_owned();
+        assert!(!info.contains("\ncolours  "), "{said}: {info}");
     }
+    let (icc, said) = profile_of(&folder, &folder.file("a.png", &png_with(&[(b"cICP", &[9, 16, 9, 1])])), &[]);
+    assert!(icc.is_none() && said.contains("invalid"), "{said}");
 }
 
 /// Returns a profile for sRGB.
@@ -178,6 +242,27 @@ fn further_pictures_of_a_jpeg_are_told() {
     assert!(said.contains("only the first"), "{said}");
     let (_, said) = profile_of(&folder, &folder.file("b.jpg", &jpeg), &[]);
     assert!(!said.contains("only the first"), "{said}");
+}
+
+#[test]
+fn the_gain_map_of_a_jpeg_is_told() {
+    let folder = Folder::new();
+    let jpeg = encoded(ImageFormat::Jpeg);
+    let with = |marker: u8, body: &[u8]| {
+        let length = (body.len() as u16 + 2).to_be_bytes();
+        [&jpeg[..2], &[0xFF, marker], &length, body, &jpeg[2..]].concat()
+    };
+    let xmp = |body: &str| format!("http://ns.adobe.com/xap/1.0/\0<rdf:Description {body}/>").into_bytes();
+    for (marker, body, is_gain_map) in [
+        // ISO 21496-1 without an index of pictures.
+        (0xE2, b"urn:iso:std:iso:ts:21496:-1\0\0\0\0\0".to_vec(), true),
+        (0xE1, xmp("xmlns:hdrgm=\"http://ns.adobe.com/hdr-gain-map/1.0/\" hdrgm:Version=\"1.0\""), true),
+        (0xE1, xmp("HDRGainMap:HDRGainMapVersion=\"65536\""), true),
+        (0xE1, xmp("dc:title=\"a gain map\""), false),
+    ] {
+        let (_, said) = profile_of(&folder, &folder.file("a.jpg", &with(marker, &body)), &[]);
+        assert_eq!(said.contains("its gain map is left out"), is_gain_map, "{said}");
+    }
 }
 
 #[test]

@@ -112,7 +112,7 @@ fn turned_pictures_are_upright_once() {
 }
 
 #[test]
-fn profiles_are_kept_and_hdr_and_further_frames_are_told() {
+fn profiles_and_code_points_are_kept_and_further_frames_are_told() {
     let p3 = open("p3.jxl");
     let icc = p3.icc.expect("a profile for Display P3");
     assert!(!ssplat::unstable::colour::is_srgb(&icc) && icc.len() < 1000, "{}", icc.len());
@@ -120,7 +120,7 @@ fn profiles_are_kept_and_hdr_and_further_frames_are_told() {
         assert!(open(name).icc.is_none_or(|icc| ssplat::unstable::colour::is_srgb(&icc)), "{name}");
     }
     let pq = open("pq.jxl");
-    assert!(pq.icc.is_none() && pq.notes.iter().any(|note| note.contains("PQ")), "{:?}", pq.notes);
+    assert_eq!((pq.icc, pq.cicp, pq.notes), (None, Some(ssplat::Cicp::BT2100_PQ), Vec::new()));
     let animation = open("animation.jxl");
     assert_eq!(bytes(&animation.pixels)[..3], [255, 0, 0]);
     assert!(animation.notes.iter().any(|note| note.contains("first of its frames")), "{:?}", animation.notes);

@@ -304,3 +304,13 @@ fn hostile_requests_do_not_block_others_and_are_closed() {
         assert!(threads.trim().parse::<u32>().unwrap() < 60, "{threads}");
     }
 }
+
+/// Desktops start the viewer without a terminal, from which a user could end it.
+#[test]
+fn the_viewer_ends_by_itself_when_nothing_is_requested() {
+    let mut serving = Serving::start(view(Path::new(FILE)).args(["--idle", "1"]));
+    assert_eq!(serving.get(&serving.path.clone()).0, 200);
+    assert!(serving.child.wait().unwrap().success());
+    let refused = view(Path::new(FILE)).args(["--idle", "0"]).output().unwrap();
+    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("--idle"));
+}

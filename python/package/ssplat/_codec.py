@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from . import _ssplat
-from ._info import Info
-from ._input import content, exif_of, real, source, whole
+from ._info import Cicp, Info
+from ._input import cicp_of, content, exif_of, real, source, whole
 from .errors import PartialWarning, QualityWarning
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def encode(
     needs: Literal["measured", "everything"] = "measured",
     backend: Literal["auto", "cpu", "gpu"] = "auto",
     metadata: Literal["needed", "all", "icc", "none"] = "needed",
+    cicp: Cicp | None = _KEEP,
     icc_profile: bytes | None = _KEEP,
     exif: bytes | None = _KEEP,
     keep_hidden: bool = False,
@@ -94,9 +95,13 @@ def encode(
         blend: how the Gaussians are blended; None: normalized.
         needs: whether the encoder measures which parts of the fit the picture needs.
         backend: the device. Only a build with the feature ``gpu`` supports devices other than the CPU.
-        metadata: the metadata of the picture to store: ``needed``, the ICC profile and the orientation; ``all``, also
-            the rest of the EXIF block, including time and location; ``icc``, only the ICC profile; or ``none``.
+        metadata: the metadata of the picture to store: ``needed``, the colours and the orientation; ``all``, also the
+            rest of the EXIF block, including time and location; ``icc``, only the colours; or ``none``.
             Metadata counts towards the size of the file.
+        cicp: code points of the colours to store, regardless of ``metadata``: primaries, transfer characteristics,
+            matrix coefficients (0) and full range (1) by ITU-T H.273, such as (9, 16, 0, 1) for BT.2020 with PQ, which no
+            profile can express; None: none. They take precedence over a profile. Samples are stored as they are. Pillow
+            has no code points of PNG files, but ``info["cicp"]`` of a Pillow image is stored.
         icc_profile: profile to store, regardless of ``metadata``; None: none.
         exif: EXIF block to store, regardless of ``metadata``, with or without a leading ``Exif\\0\\0``; None: none.
         keep_hidden: keep the colours of pixels of alpha 0. By default they are replaced by a continuation of the
@@ -114,8 +119,11 @@ def encode(
         CancelledError: ``progress`` returned False.
         KeyboardInterrupt: raised at once; the work in the background ends at its next step.
     """
-    array, *own = source("image", image)
-    own_profile, own_exif = _ssplat.carried(metadata, *own)
+    array, picture_cicp, picture_profile, picture_exif = source("image", image)
+    own_cicp, own_profile, own_exif = _ssplat.carried(metadata, picture_cicp, picture_profile, picture_exif)
+    if cicp is not _KEEP or icc_profile is not _KEEP:
+        # Colours that are given replace all that the picture states.
+        own_cicp, own_profile = None, None
     options = {
         "ratio": real("ratio", ratio),
         "bytes": whole("bytes", bytes),
@@ -136,6 +144,7 @@ def encode(
         "blend": blend,
         "needs": needs,
         "backend": backend,
+        "cicp": own_cicp if cicp is _KEEP else cicp_of(cicp),
         "icc_profile": own_profile if icc_profile is _KEEP else icc_profile,
         "exif": own_exif if exif is _KEEP else exif_of(exif),
         "keep_hidden": keep_hidden,
@@ -240,7 +249,8 @@ def info(data: Data, *, limits: Mapping[str, int] | None = None) -> Info:
         in it, or None), ``detail`` (None, or a dict of the detail layer's ``bytes``, ``bits`` and ``levels``, and of
         the number of ``tiles`` that have levels, out of ``of_tiles``), ``exact`` (None, or a dict of the exact layer's
         ``bytes``, ``covered_pixels`` and ``tile_side``), ``steps`` (the indices of specification §4.1), ``parts``
-        (bytes of each part of the file), ``icc_profile``, ``exif`` and ``thumbnail`` (bytes, or None; the last is a
+        (bytes of each part of the file), ``cicp`` (code points as four numbers, or None), ``icc_profile``, ``exif`` and
+        ``thumbnail`` (bytes, or None; the last is a
         file that :func:`decode` takes).
 
     Raises:

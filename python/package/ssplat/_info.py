@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import builtins
-from typing import Literal, TypedDict
+from typing import Literal, TypeAlias, TypedDict
 
 __all__ = ["DetailInfo", "ExactInfo", "Info", "StepsInfo"]
+
+
+#: Code points of colours by ITU-T H.273: primaries, transfer characteristics, matrix coefficients, full range.
+Cicp: TypeAlias = "tuple[int, int, int, int]"
 
 
 class DetailInfo(TypedDict):
@@ -56,6 +60,7 @@ class Info(TypedDict):
     exact: ExactInfo | None
     steps: StepsInfo
     parts: dict[str, int]
+    cicp: Cicp | None
     icc_profile: builtins.bytes | None
     exif: builtins.bytes | None
     thumbnail: builtins.bytes | None

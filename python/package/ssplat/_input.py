@@ -15,6 +15,7 @@ import numpy as np
 from .errors import LimitExceededError, ParameterError
 
 if TYPE_CHECKING:
+    from ._info import Cicp
     from PIL import Image
 
     ImageLike: TypeAlias = np.ndarray | Image.Image | str | os.PathLike[str] | bytes | bytearray | BinaryIO
@@ -86,8 +87,8 @@ def contiguous(name: str, array: Any) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
 
 
-def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
-    """Returns the samples of a picture, its ICC profile and its EXIF block."""
+def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, Cicp | None, bytes | None, bytes | None]:
+    """Returns the samples of a picture, its code points, its ICC profile and its EXIF block."""
     if isinstance(image, (bytes, bytearray)):
         image = io.BytesIO(image)
     if is_path(image) or hasattr(image, "read"):
@@ -101,17 +102,29 @@ def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes
     if is_pillow(image):
         return (
             contiguous(name, np.asarray(convert(image))),
+            cicp_of(image.info.get("cicp")),
             image.info.get("icc_profile"),
             exif_of(image.info.get("exif")),
         )
-    return contiguous(name, image), None, None
+    return contiguous(name, image), None, None, None
 
 
-def source(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
+def source(name: str, image: ImageLike) -> tuple[np.ndarray, Cicp | None, bytes | None, bytes | None]:
     """Like :func:`pixels`, but a memory map is returned unchanged, and its parts are read when they are needed."""
     if isinstance(image, np.memmap) and image.dtype.isnative:
-        return image, None, None
+        return image, None, None, None
     return pixels(name, image)
+
+
+def cicp_of(numbers: Any) -> Cicp | None:
+    """Checks that code points are four numbers of 0 to 255, as a tuple or as bytes."""
+    if numbers is None:
+        return None
+    try:
+        primaries, transfer, matrix, full_range = bytes(tuple(numbers))
+    except (TypeError, ValueError):
+        raise ParameterError(f"bad parameter cicp: {numbers!r} are not four numbers of 0 to 255", "cicp") from None
+    return primaries, transfer, matrix, full_range
 
 
 def exif_of(block: Any) -> bytes | None:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from . import _ssplat
-from ._input import content, exif_of
+from ._input import cicp_of, content, exif_of
 from .errors import ParameterError
 
 if TYPE_CHECKING:
+    from ._info import Cicp
     from numpy.typing import ArrayLike
 
     from ._input import Data
@@ -63,6 +64,7 @@ def from_gaussians(
     bits: Literal[8, 16] = 8,
     layout: Literal["coded", "planes", "packed"] = "coded",
     steps: Mapping[str, int] | None = None,
+    cicp: Cicp | None = None,
     icc_profile: bytes | None = None,
     exif: bytes | None = None,
 ) -> bytes:
@@ -83,7 +85,7 @@ def from_gaussians(
         bits: bits per sample of the decoded picture.
         layout: encoding of the integers.
         steps: indices of specification §4.1 as returned by :func:`ssplat.info`; by default they are chosen.
-        icc_profile, exif: metadata to store.
+        cicp, icc_profile, exif: metadata to store; see :func:`encode`.
 
     Raises:
         ParameterError: the shapes do not match, the format cannot store a value, or the size is too small.
@@ -105,6 +107,7 @@ def from_gaussians(
         "background": _background(background, channels),
         "bytes": bytes,
         "steps": None if steps is None else dict(steps),
+        "cicp": cicp_of(cicp),
         "icc_profile": icc_profile,
         "exif": exif_of(exif),
     }

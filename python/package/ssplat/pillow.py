@@ -26,7 +26,7 @@ __all__ = ["SsplatImageFile", "register"]
 _FORMAT = "SSPLAT"
 #: What the header takes at most.
 _HEADER = 32
-_OPTIONS = frozenset(inspect.signature(encode).parameters) - {"image", "icc_profile", "exif"}
+_OPTIONS = frozenset(inspect.signature(encode).parameters) - {"image", "cicp", "icc_profile", "exif"}
 
 
 class SsplatImageFile(ImageFile.ImageFile):
@@ -54,10 +54,12 @@ class SsplatImageFile(ImageFile.ImageFile):
 
     def _describe(self, data: bytes) -> None:
         try:
-            profile, exif = _ssplat.metadata(data)
+            cicp, profile, exif = _ssplat.metadata(data)
         except Error:
             # Loading says what is wrong.
             return
+        if cicp:
+            self.info["cicp"] = cicp
         if profile:
             self.info["icc_profile"] = profile
         if exif:
@@ -116,7 +118,7 @@ def _save(im: Image.Image, fp: IO[bytes], filename: str | bytes) -> None:
     wanted = im.encoderinfo
     options = {name: wanted[name] for name in _OPTIONS & wanted.keys()}
     # What is asked for, else what ``metadata`` says of the picture's own; an empty one is none.
-    options |= {name: wanted[name] or None for name in ("icc_profile", "exif") if name in wanted}
+    options |= {name: wanted[name] or None for name in ("cicp", "icc_profile", "exif") if name in wanted}
     try:
         fp.write(encode(im, **options))
     except ParameterError as e:

@@ -76,7 +76,7 @@ fn photographs(
 ) -> Result<Option<PackedSplats>> {
     let filled = continued(pixels, mask, report)?;
     let since = report.seconds();
-    let options = EncodeOptions { thumbnail: Thumbnail::Never, icc: None, exif: None, ..options.clone() };
+    let options = EncodeOptions { thumbnail: Thumbnail::Never, cicp: None, icc: None, exif: None, ..options.clone() };
     let encoded = match encode_whole(&filled, &options, ITERATIONS, &mut |now| (report.progress)(now)) {
         Ok(encoded) => encoded,
         Err(Error::TooSmall { .. }) => return Ok(None),

@@ -302,7 +302,7 @@ fn lossy(
     // One fit to the size of `near` shows whether a search can find a smaller file.
     let mut of_same_size = |effort: u8| {
         let (target, thumbnail) = (Target::Bytes(near.bytes.len() as u64), Thumbnail::Never);
-        let plain = EncodeOptions { target, effort, thumbnail, icc: None, exif: None, ..options.clone() };
+        let plain = EncodeOptions { target, effort, thumbnail, cicp: None, icc: None, exif: None, ..options.clone() };
         read(&steps::encode(source, &plain, Executor::Own, progress)?.bytes)
     };
     if let Goal::Psnr(_) = judge.goal

@@ -170,9 +170,7 @@ pub(super) fn finished(
 ) -> Result<(PackedSplats, Vec<u8>)> {
     let metadata = Metadata {
         thumbnail: thumbnail::for_file(&splats, bytes.len() as u64, options, encode_whole, report)?,
-        icc: options.icc.clone(),
-        exif: options.exif.clone(),
-        ..Metadata::default()
+        ..options.stored()
     };
     if metadata != Metadata::default() {
         splats.metadata = metadata;

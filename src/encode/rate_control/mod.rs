@@ -107,10 +107,9 @@ fn picture(prepared: &mut Prepared<'_>, encode_at: EncodeAt) -> Result<(Outcome,
     Ok((outcome, thumbnail))
 }
 
-/// Returns the number of bytes that the ICC profile and the EXIF block add to a file.
+/// Returns the number of bytes that code points, the ICC profile and the EXIF block add to a file.
 fn metadata_bytes(options: &EncodeOptions) -> u64 {
-    let blocks = [&options.icc, &options.exif].into_iter().flatten();
-    let sections: u64 = blocks.map(|block| section_bytes(block.len() as u64)).sum();
+    let sections: u64 = options.stored_lengths().map(section_bytes).sum();
     if sections > 0 { SECTION_COUNT_BYTES + sections } else { 0 }
 }
 

@@ -12,7 +12,7 @@ use std::time::Duration;
 use image::metadata::Orientation;
 use ssplat::unstable::instant::provide_clock;
 use ssplat::unstable::score::provide_score;
-use ssplat::{Channels, Detail, Encoder, Error, Parameter, Pixels, Progress, Result, Samples, Target, Tune};
+use ssplat::{Channels, Cicp, Detail, Encoder, Error, Parameter, Pixels, Progress, Result, Samples, Target, Tune};
 
 #[link(wasm_import_module = "host")]
 unsafe extern "C" {
@@ -34,8 +34,8 @@ unsafe extern "C" {
 /// What is put on the desk before an encode, and what lies there after it.
 #[derive(Default)]
 struct Desk {
-    /// Samples; ICC profile; EXIF block.
-    inputs: [Vec<u8>; 3],
+    /// Samples; ICC profile; EXIF block; code points.
+    inputs: [Vec<u8>; 4],
     encoder: Encoder,
     /// The file or an error's words; the stages of the encode; what was left out.
     pieces: [Vec<u8>; 3],
@@ -174,7 +174,11 @@ impl Desk {
         let orientation = Orientation::from_exif(orientation)
             .ok_or_else(|| parameter("orientation", format!("{orientation} is outside 1..=8")))?;
         let mut encoder = std::mem::take(&mut self.encoder);
-        let [_, icc, exif] = &mut self.inputs;
+        let [_, icc, exif, cicp] = &mut self.inputs;
+        if !cicp.is_empty() {
+            let found = Cicp::from_bytes(cicp).map_err(|error| parameter("cicp", error.to_string()))?;
+            encoder = encoder.cicp(found);
+        }
         if !icc.is_empty() {
             encoder = encoder.icc(std::mem::take(icc));
         }

@@ -26,12 +26,12 @@ struct Desk {
 }
 
 /// Answer of a call. The pieces are: pixels, Gaussians, JSON, a thumbnail or a text; the ICC profile; the EXIF block;
-/// the bits of each Gaussian; the cells of the exact layer. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
+/// the bits of each Gaussian; the cells of the exact layer; the code points. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
 /// counts it, missing primitives, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is
 /// wrong.
 #[derive(Default)]
 struct Answer {
-    pieces: [Vec<u8>; 5],
+    pieces: [Vec<u8>; 6],
     numbers: [u32; 9],
 }
 
@@ -271,12 +271,13 @@ fn open<'a>(input: &'a [u8], limits: &Limits) -> Result<Reader<'a>> {
 /// Place of the orientation among an answer's numbers.
 const ORIENTATION: usize = 5;
 
-/// Puts ICC profile, EXIF block and the orientation that it names into an answer.
-fn describe(Metadata { icc, exif, .. }: Metadata, answer: &mut Answer) {
+/// Puts code points, ICC profile, EXIF block and the orientation that it names into an answer.
+fn describe(Metadata { cicp, icc, exif, .. }: Metadata, answer: &mut Answer) {
     let orientation = exif.as_deref().and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
     answer.numbers[ORIENTATION] = u32::from(orientation.to_exif());
     answer.pieces[1] = icc.unwrap_or_default();
     answer.pieces[2] = exif.unwrap_or_default();
+    answer.pieces[5] = cicp.map(|cicp| cicp.to_bytes().to_vec()).unwrap_or_default();
 }
 
 /// Appends what stands at place `k` of a list.
