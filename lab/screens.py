@@ -13,7 +13,7 @@ Pictures of which AVIF has no file that is small enough are not counted.
 --page writes the table of screens into docs/BENCHMARKS.md, with the bytes of PNG (as Pillow optimizes it), lossless WebP
 (method 6, quality 100), JPEG XL (effort 7) and ssplat without loss in columns of their own. It needs pillow-jxl-plugin.
 
-Pictures are converted to RGB with 8 bits. The command needs Pillow 12 or newer.
+Pictures are converted to 8 bits and to RGB, or RGBA if they have alpha. The command needs Pillow 12 or newer.
 """
 import argparse, io, json, pathlib, subprocess, tempfile
 
@@ -61,10 +61,11 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         source, file, back = (pathlib.Path(folder) / name for name in ("source.png", "file.ssplat", "back.png"))
         for path in found(args.pictures):
-            picture = Image.open(path).convert("RGB")
+            picture = Image.open(path)
+            picture = picture.convert("RGBA" if picture.has_transparency_data else "RGB")
             picture.info.clear()
             picture.save(source)
-            raw, files = picture.width * picture.height * 3, {}
+            raw, files = picture.width * picture.height * len(picture.mode), {}
             row = [path.stem.split("-")[0] if len(path.stem) > 20 else path.stem]
             if args.page:
                 spent([args.program, "encode", source, file, "--lossless", "--force", "--quiet"])
@@ -75,7 +76,7 @@ def main():
                 for subsampling in ("4:2:0", "4:4:4"):
                     made = best_avif(picture, subsampling, raw // ratio, args.speed, files.setdefault(subsampling, {}))
                     if made:
-                        Image.open(io.BytesIO(made)).convert("RGB").save(back)
+                        Image.open(io.BytesIO(made)).convert(picture.mode).save(back)
                         others.append(score(args.program, source, back))
                 name, other = f"{path.parent.name}/{path.stem}", f"{max(others):.1f}" if others else "too large"
                 print(f"| {name} | {ratio} | {raw // ratio} | {file.stat().st_size} | {own:.1f} | {other} | {seconds:.1f} |", flush=True)

@@ -158,6 +158,7 @@ fn truncated_files_are_errors_and_keep_their_intact_tiles() {
     // The end of the second tile is missing.
     let some = Decoder::new().damage(Damage::Accept).decode(&file[..whole - 100]).unwrap();
     assert_eq!((some.missing.tiles, some.missing.of_tiles), (1, 2));
+    assert_eq!((some.missing.exact_tiles, some.missing.of_exact_tiles), (1, 2));
     let (Samples::U8(all), Samples::U8(found)) = (pixels.samples(), some.pixels.samples()) else { panic!("8 bits") };
     for y in 0..20 {
         assert_eq!(all[y * 600..][..512], found[y * 600..][..512]);
