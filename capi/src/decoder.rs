@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::ptr;
 use std::sync::Mutex;
 
-use ssplat::{Damage, MissingParts};
+use ssplat::Damage;
 
 use crate::failure::{Failure, Outcome, ssplat_status};
 use crate::format::Rows;
