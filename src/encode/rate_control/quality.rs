@@ -19,6 +19,8 @@ const TOLERANCE: f64 = 0.5;
 pub(in crate::encode) const AIM_ABOVE: f64 = 0.25;
 /// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
 const MAX_TRIMMED: f64 = 4.0;
+/// Expected size of a file, relative to another file that reaches the score, up to which it is searched for.
+const MAX_EXPECTED: f64 = 0.7;
 /// Scores that are assumed for a picture until its own are known: halvings of the raw bytes, and points. The values
 /// were measured on Kodak; from a ratio of 20 on, they are means of twelve pictures. Pictures differ mostly by a shift
 /// along the first axis. `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures the curve.
@@ -71,7 +73,10 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
     let samples = session.samples();
     let known = match session.at_quality(wanted)? {
         AtQuality::Done(outcome) => return as_written(session, *outcome),
-        _ if session.options().has_alternative => return nothing(session),
+        AtQuality::Expected { bytes, .. } if is_hopeless(session.options().alternative, bytes) => {
+            return nothing(session);
+        }
+        AtQuality::Unknown if session.options().alternative.is_some() => return nothing(session),
         AtQuality::Expected { bytes, seen } => {
             let size = |bytes: f64| (bytes / samples).strict_log2();
             let tries = seen.iter().map(|&(bytes, score)| Try { size: size(bytes as f64), score }).collect();
@@ -93,6 +98,11 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
         session.trim_to_quality(&mut outcome, wanted)?;
     }
     as_written(session, outcome)
+}
+
+/// Returns whether a search that is expected to end with this many bytes will hardly find a smaller file than another one.
+fn is_hopeless(alternative: Option<u64>, expected: f64) -> bool {
+    alternative.is_some_and(|bytes| expected > MAX_EXPECTED * bytes as f64)
 }
 
 /// Measures the score of the file. A decoder renders the Gaussians in the order of the file, which changes the last bits.
