@@ -6,13 +6,16 @@
 
 PHOTOGRAPHS is a folder with at least six photographs. The command writes these pictures into FOLDER: an article with two
 photographs, a dashboard, a program in an editor, a gallery, a table, a chat, a slide, a desktop with a photograph behind
-its windows, a manual, and a shop at two pixels for each pixel of the page; and three scans of these pages, with noise. The text is that of the documents of this
-repository. Which fonts are installed, and the version of Chromium, change the pictures a little.
+its windows, a manual, and a shop at two pixels for each pixel of the page; and three scans of these pages, with noise.
+FOLDER/alpha gets pictures with alpha: a badge and a menu with soft shadows, a sheet of sprites, a card with a photograph,
+a photograph with soft edges and letters on it, and a photograph with soft edges that keeps its colours under alpha 0.
+The text is that of the documents of this repository. Which fonts are installed, and the version of Chromium, change the
+pictures a little.
 """
-import argparse, html, pathlib, random, re, subprocess, tempfile
+import argparse, html, math, pathlib, random, re, subprocess, tempfile
 
 import numpy
-from PIL import Image, ImageFilter
+from PIL import Image, ImageDraw, ImageFilter
 
 root = pathlib.Path(__file__).resolve().parent.parent
 STYLE = "<!doctype html><meta charset=utf-8><style>*{box-sizing:border-box}body{margin:0;font:16px/1.5 'DejaVu Sans'}img{display:block}%s</style>%s"
@@ -94,6 +97,34 @@ def shop(photos):
     return (720, 640, 2), "body{background:#eaeded}.g{display:grid;grid-template-columns:repeat(3,1fr);gap:12px;padding:14px}", f"<div style='background:#131921;color:#fff;padding:10px 20px'>{text(3, 2)}</div><div class=g>{cards}</div>"
 
 
+def badge(_):
+    return (420, 420, 1), "body{padding:40px}.b{width:320px;height:320px;border-radius:50%;background:linear-gradient(160deg,#3b82f6,#7c3aed);box-shadow:0 16px 40px #0009;color:#fff;font:bold 64px/320px 'DejaVu Sans';text-align:center;border:10px solid #fff}", "<div class=b>ssplat</div>"
+
+
+def menu(_):
+    rows = "".join(f"<div style='padding:7px 18px;display:flex;justify-content:space-between'><span>{text(3, 13 * k)}</span><span style='color:#888'>Ctrl+{chr(65 + k)}</span></div>" for k in range(10))
+    return (480, 520, 1), "body{padding:40px}.m{background:#fffffff0;border-radius:10px;border:1px solid #0003;box-shadow:0 12px 40px #0008;font-size:14px}", f"<div class=m>{rows}</div>"
+
+
+def sprites(_):
+    numbers = random.Random(4)
+    def sprite(k):
+        a, b = f"hsl({37 * k},80%,55%)", f"hsl({37 * k + 60},70%,30%)"
+        corners = " ".join(f"{32 + 28 * numbers.uniform(.5, 1) * math.cos(v * math.tau / 9):.1f},{32 + 28 * numbers.uniform(.5, 1) * math.sin(v * math.tau / 9):.1f}" for v in range(9))
+        return f"<svg width=64 height=64 viewBox='0 0 64 64'><polygon points='{corners}' fill='{a}' stroke='{b}' stroke-width=3 /><circle cx={numbers.randrange(20, 44)} cy={numbers.randrange(20, 44)} r=9 fill='#fff' stroke='{b}' stroke-width=2 /><circle cx=32 cy=32 r=4 fill='#000'/></svg>"
+    return (640, 512, 1), "body{display:grid;grid-template-columns:repeat(10,64px)}", "".join(map(sprite, range(80)))
+
+
+def card(photos):
+    return (520, 640, 1), "body{padding:50px}.c{background:#fff;border-radius:22px;overflow:hidden;box-shadow:0 18px 50px #0009}img{width:100%;height:280px;object-fit:cover}div div{padding:20px}", (
+        f"<div class=c><img src='{photos[1]}'><div><b>{text(4, 60)}</b><p>{text(34, 70)}</div></div>")
+
+
+def poster(photos):
+    return (720, 480, 1), "body{position:relative}img{width:720px;height:480px;object-fit:cover;-webkit-mask-image:radial-gradient(closest-side,#000 75%,#0000 98%)}p{position:absolute;left:60px;top:150px;margin:0;font:bold 56px 'DejaVu Sans';color:#fff;text-shadow:0 4px 12px #000}", (
+        f"<img src='{photos[4]}'><p>{text(3, 30)}</p>")
+
+
 # Scans: name, page, size, whether they are grey, radius of the blur, and standard deviation of the noise.
 SCANS = [("grey", "manual.png", (900, 700), True, 0.5, 2.5), ("colour", "manual.png", (900, 700), False, 0.6, 2), ("photograph", "article.png", (1000, 900), False, 0.5, 2)]
 
@@ -104,6 +135,15 @@ def scan(page, is_grey, blur, noise):
     values = values.mean(-1) if is_grey else values
     values += numpy.random.default_rng(3).normal(0, noise, values.shape)
     return Image.fromarray(values.round().clip(0, 255).astype(numpy.uint8))
+
+
+def cutout(photo):
+    """Returns a photograph with soft edges, with its colours under alpha 0."""
+    picture = Image.open(photo).convert("RGB")
+    alpha = Image.new("L", picture.size)
+    ImageDraw.Draw(alpha).ellipse([side * share for share in (0.12, 0.88) for side in picture.size], fill=255)
+    picture.putalpha(alpha.filter(ImageFilter.GaussianBlur(6)).point(lambda v: 0 if v < 3 else v))
+    return picture
 
 
 def main():
@@ -117,14 +157,20 @@ def main():
         parser.error(f"{args.photographs} has {len(photos)} photographs, 6 are needed")
     args.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        for page in (article, dashboard, editor, gallery, table, chat, slide, desktop, manual, shop):
+        opaque, with_alpha = (article, dashboard, editor, gallery, table, chat, slide, desktop, manual, shop), (badge, menu, sprites, card, poster)
+        (args.folder / "alpha").mkdir(exist_ok=True)
+        for page in (*opaque, *with_alpha):
             (width, height, scale), style, body = page(photos)
             source = pathlib.Path(folder, "page.html")
             source.write_text(STYLE % (style, body))
-            out = args.folder / f"{page.__name__}.png"
+            out = args.folder / ("alpha" if page in with_alpha else "") / f"{page.__name__}.png"
+            ground = ["--default-background-color=00000000"] if page in with_alpha else []
             subprocess.run([args.chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--allow-file-access-from-files", f"--user-data-dir={folder}/profile",
-                            f"--window-size={width},{height}", f"--force-device-scale-factor={scale}", f"--screenshot={out.resolve()}", source.as_uri()], check=True, capture_output=True, timeout=120)
+                            f"--window-size={width},{height}", f"--force-device-scale-factor={scale}", *ground, f"--screenshot={out.resolve()}", source.as_uri()], check=True, capture_output=True, timeout=120)
             print(out)
+    out = args.folder / "alpha" / "cutout.png"
+    cutout(sorted(p for p in args.photographs.iterdir() if p.suffix in (".png", ".jpg"))[3]).save(out)
+    print(out)
     for name, page, size, is_grey, blur, noise in SCANS:
         out = args.folder / f"scan-{name}.png"
         scan(Image.open(args.folder / page).convert("RGB").crop((0, 0, *size)), is_grey, blur, noise).save(out)

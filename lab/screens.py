@@ -11,9 +11,11 @@ the ratio, and the CPU seconds of the encode. The mean and the smallest lead ove
 Pictures of which AVIF has no file that is small enough are not counted.
 
 --page writes the table of screens into docs/BENCHMARKS.md, with the bytes of PNG (as Pillow optimizes it), lossless WebP
-(method 6, quality 100), JPEG XL (effort 7) and ssplat without loss in columns of their own. It needs pillow-jxl-plugin.
+(method 6, quality 100), JPEG XL (effort 7) and ssplat without loss in columns of their own, and below the pictures of each
+folder the mean of these bytes relative to the smaller of WebP and JPEG XL, and the mean and the smallest lead over AVIF.
+It needs pillow-jxl-plugin.
 
-Pictures are converted to RGB with 8 bits. The command needs Pillow 12 or newer.
+Pictures are converted to 8 bits and to RGB, or RGBA if they have alpha. The command needs Pillow 12 or newer.
 """
 import argparse, io, json, pathlib, subprocess, tempfile
 
@@ -48,6 +50,10 @@ def best_avif(picture, subsampling, most, speed, encoded):
     return encode(low) if low >= 0 else None
 
 
+def signed(points):
+    return ("+" if points >= 0 else "") + number(points, 1)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program")
@@ -56,36 +62,44 @@ def main():
     parser.add_argument("--speed", type=int, default=6, help="speed of AVIF")
     parser.add_argument("--page", action="store_true", help="write the table of screens into docs/BENCHMARKS.md")
     args = parser.parse_args()
-    sets, rows = {}, []
+    sets, rows, relative = {}, {}, {}
     print("| picture | ratio | bytes of | bytes | SSIMULACRA2 | AVIF | encode, s |\n|---|--:|--:|--:|--:|--:|--:|")
     with tempfile.TemporaryDirectory() as folder:
         source, file, back = (pathlib.Path(folder) / name for name in ("source.png", "file.ssplat", "back.png"))
         for path in found(args.pictures):
-            picture = Image.open(path).convert("RGB")
+            picture = Image.open(path)
+            picture = picture.convert("RGBA" if picture.has_transparency_data else "RGB")
             picture.info.clear()
             picture.save(source)
-            raw, files = picture.width * picture.height * 3, {}
+            raw, files = picture.width * picture.height * len(picture.mode), {}
             row = [path.stem.split("-")[0] if len(path.stem) > 20 else path.stem]
             if args.page:
                 spent([args.program, "encode", source, file, "--lossless", "--force", "--quiet"])
-                row += [f"{size:,}".replace(",", " ") for size in (*map(len, losslessly(picture)), file.stat().st_size)]
+                sizes = [*map(len, losslessly(picture)), file.stat().st_size]
+                relative.setdefault(path.parent.name, []).append([size / min(sizes[1:3]) for size in sizes])
+                row += [f"{size:,}".replace(",", " ") for size in sizes]
             for ratio in map(int, args.ratios.split(",")):
                 seconds = spent([args.program, "encode", source, file, "--ratio", ratio, "--force", "--quiet"])
                 own, others = score(args.program, source, file), []
                 for subsampling in ("4:2:0", "4:4:4"):
                     made = best_avif(picture, subsampling, raw // ratio, args.speed, files.setdefault(subsampling, {}))
                     if made:
-                        Image.open(io.BytesIO(made)).convert("RGB").save(back)
+                        Image.open(io.BytesIO(made)).convert(picture.mode).save(back)
                         others.append(score(args.program, source, back))
                 name, other = f"{path.parent.name}/{path.stem}", f"{max(others):.1f}" if others else "too large"
                 print(f"| {name} | {ratio} | {raw // ratio} | {file.stat().st_size} | {own:.1f} | {other} | {seconds:.1f} |", flush=True)
                 if others:
                     sets.setdefault((path.parent.name, ratio), []).append(own - max(others))
                 row.append(f"{number(own, 1)} / {number(max(others), 1) if others else '–'}")
-            rows.append(row)
+            rows.setdefault(path.parent.name, []).append(row)
     for (name, ratio), leads in sets.items():
         print(f"{name} at {ratio}: {sum(leads) / len(leads):+.1f} in the mean, {min(leads):+.1f} at least, {len(leads)} pictures")
     if args.page:
+        for name, own in rows.items():
+            means = [f"{sum(column) / len(own):.2f}".lstrip("0") for column in zip(*relative[name])]
+            leads = [sets.get((name, int(ratio)), []) for ratio in args.ratios.split(",")]
+            own.append([f"**{name}**", *means, *(f"{signed(sum(lead) / len(lead))} ({signed(min(lead))})" if lead else "" for lead in leads)])
+        rows = [row for own in rows.values() for row in own]
         head = ["picture", "PNG", "WebP", "JPEG XL", "ssplat", *(f"at {ratio}" for ratio in args.ratios.split(","))]
         write_tables(root / "docs/BENCHMARKS.md", {"set screens": f"{table(head, rows)}\n\n{measured_when(commit_of(root))}"})
 

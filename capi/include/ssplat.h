@@ -392,9 +392,14 @@ typedef struct ssplat_missing {
    */
   uint32_t damaged;
   /**
+   * Tiles of the exact layer among those above, and how many of them the file should have.
+   */
+  uint32_t exact_tiles;
+  uint32_t of_exact_tiles;
+  /**
    * Zeros.
    */
-  uint32_t reserved[10];
+  uint32_t reserved[8];
 } ssplat_missing;
 
 /**

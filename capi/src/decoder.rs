@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::ptr;
 use std::sync::Mutex;
 
-use ssplat::{Damage, MissingParts};
+use ssplat::Damage;
 
 use crate::failure::{Failure, Outcome, ssplat_status};
 use crate::format::Rows;
@@ -113,8 +113,11 @@ pub struct ssplat_missing {
     pub of_tiles: u32,
     /// 1 if the file is cut off or its checksum is wrong.
     pub damaged: u32,
+    /// Tiles of the exact layer among those above, and how many of them the file should have.
+    pub exact_tiles: u32,
+    pub of_exact_tiles: u32,
     /// Zeros.
-    pub reserved: [u32; 10],
+    pub reserved: [u32; 8],
 }
 
 /// The part of the picture to draw, and the size to draw it in. All zeros: the whole picture in its own size.
@@ -428,9 +431,18 @@ pub unsafe extern "C" fn ssplat_decoder_missing(
     missing: *mut ssplat_missing,
 ) -> ssplat_status {
     let work = |held: &mut Decoding| {
-        let MissingParts { primitives, groups, of_groups, tiles, of_tiles, damaged, .. } = held.session.missing()?;
-        let (gaussians, damaged) = (primitives, damaged.into());
-        let found = ssplat_missing { gaussians, groups, of_groups, tiles, of_tiles, damaged, reserved: [0; 10] };
+        let missing_parts = held.session.missing()?;
+        let found = ssplat_missing {
+            gaussians: missing_parts.primitives,
+            groups: missing_parts.groups,
+            of_groups: missing_parts.of_groups,
+            tiles: missing_parts.tiles,
+            of_tiles: missing_parts.of_tiles,
+            damaged: missing_parts.damaged.into(),
+            exact_tiles: missing_parts.exact_tiles,
+            of_exact_tiles: missing_parts.of_exact_tiles,
+            reserved: [0; 8],
+        };
         // SAFETY: the caller passes NULL or a pointer to a variable.
         unsafe { give("missing", missing, found) }
     };

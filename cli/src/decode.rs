@@ -138,6 +138,9 @@ fn one(args: &args::Decode, task: &Task, format: Format, (show, report): (&Show,
     if missing.of_tiles > 0 {
         (loss["tiles"], loss["of_tiles"]) = (missing.tiles.into(), missing.of_tiles.into());
     }
+    if missing.of_exact_tiles > 0 {
+        (loss["exact_tiles"], loss["of_exact_tiles"]) = (missing.exact_tiles.into(), missing.of_exact_tiles.into());
+    }
     let (width, height) = shape;
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
     notes.extend(misfit);
@@ -274,12 +277,15 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
     let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
     let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
     if missing != MissingParts::default() {
-        let MissingParts { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
+        let MissingParts { primitives, groups, of_groups, tiles, of_tiles, exact_tiles, of_exact_tiles, .. } = missing;
         if groups > 0 {
             notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
         }
-        if tiles > 0 {
-            notes.push(format!("{tiles} of {of_tiles} tiles of the detail layer are missing"));
+        let detail = ("detail", tiles - exact_tiles, of_tiles - of_exact_tiles);
+        for (layer, missing, of) in [detail, ("exact", exact_tiles, of_exact_tiles)] {
+            if missing > 0 {
+                notes.push(format!("{missing} of {of} tiles of the {layer} layer are missing"));
+            }
         }
         if groups == 0 && tiles == 0 {
             notes.push("the file is damaged or cut off, but the requested part of the picture is complete".into());

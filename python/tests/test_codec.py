@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import ssplat
-from pictures import KODIM05, waves
+from pictures import KODIM05, VECTORS, waves
 from PIL import Image
 
 PICTURE = waves(60, 80)
@@ -225,6 +225,17 @@ def test_a_layer_without_an_index_takes_no_memory():
     with pytest.warns(ssplat.PartialWarning, match="16777216 of 16777216 tiles"):
         pixels = ssplat.decode(data, partial=True, region=(0, 0, 10, 10), limits={"alloc": 1 << 20})
     assert pixels.shape[:2] == (10, 10)
+
+
+def test_missing_tiles_are_told_by_layer():
+    data = bytearray((VECTORS / "valid/exact-both-layers/file.ssplat").read_bytes())
+    data[-13] ^= 1
+    with pytest.warns(ssplat.PartialWarning, match="^1 of 1 tiles of the exact layer are missing"):
+        ssplat.decode(bytes(data), partial=True)
+    data[-389] ^= 1
+    both = "^1 of 1 tiles of the detail layer and 1 of 1 tiles of the exact layer are missing"
+    with pytest.warns(ssplat.PartialWarning, match=both):
+        ssplat.decode(bytes(data), partial=True)
 
 
 def test_a_time_budget_gives_a_file():

@@ -82,6 +82,10 @@ pub struct MissingParts {
     pub tiles: u32,
     /// Number of tiles of both layers in the whole file.
     pub of_tiles: u32,
+    /// Number of missing tiles of the exact layer, which [`tiles`](Self::tiles) includes.
+    pub exact_tiles: u32,
+    /// Number of tiles of the exact layer in the whole file, which [`of_tiles`](Self::of_tiles) includes.
+    pub of_exact_tiles: u32,
     /// Whether the file is truncated or its checksum does not match, even if the whole picture could be read.
     pub damaged: bool,
 }

@@ -302,6 +302,7 @@ impl Reading<'_> {
             let found = exact_index::read(&mut bytes, &head, &wanted, &mut working)?;
             missing.tiles += found.missing;
             missing.of_tiles += found.of;
+            (missing.exact_tiles, missing.of_exact_tiles) = (found.missing, found.of);
             splats.exact = found.layer.map(Arc::new);
         } else if spans.is_some() && (exact.is_some() || self.layers == Layers::Gaussians) {
             // The layers are skipped; only the checksum of the file covers their bytes.

@@ -250,9 +250,10 @@ pub struct EncodeOptions {
     pub icc: Option<Vec<u8>>,
     /// EXIF block to store, from its TIFF header on, regardless of `metadata`.
     pub exif: Option<Vec<u8>>,
-    /// Whether another file reaches the quality, so that a search of several fits is not worth its time.
+    /// Bytes of another file that reaches the quality, so that a search of several fits is worth its time only if it is
+    /// expected to find a file that is smaller.
     #[cfg_attr(not(feature = "quality-hook"), allow(dead_code, reason = "there is no quality"))]
-    pub(crate) has_alternative: bool,
+    pub(crate) alternative: Option<u64>,
 }
 
 impl EncodeOptions {
@@ -302,7 +303,7 @@ impl Default for EncodeOptions {
             cicp: None,
             icc: None,
             exif: None,
-            has_alternative: false,
+            alternative: None,
         }
     }
 }

@@ -158,6 +158,7 @@ fn truncated_files_are_errors_and_keep_their_intact_tiles() {
     // The end of the second tile is missing.
     let some = Decoder::new().damage(Damage::Accept).decode(&file[..whole - 100]).unwrap();
     assert_eq!((some.missing.tiles, some.missing.of_tiles), (1, 2));
+    assert_eq!((some.missing.exact_tiles, some.missing.of_exact_tiles), (1, 2));
     let (Samples::U8(all), Samples::U8(found)) = (pixels.samples(), some.pixels.samples()) else { panic!("8 bits") };
     for y in 0..20 {
         assert_eq!(all[y * 600..][..512], found[y * 600..][..512]);
@@ -267,6 +268,43 @@ fn a_photograph_in_a_page_is_left_to_gaussians_and_the_detail_layer() {
     assert!(bytes_of(&pixels)[..letters].iter().zip(bytes_of(&decoded)).all(near));
     // The same bytes without the layer.
     let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(2).detail(Detail::Share(0.4));
+    let without = without.encode(&pixels).unwrap().report.psnr;
+    assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
+}
+
+/// Returns a page and a photograph with a transparent margin in which colours are hidden.
+fn cut_out(size: [u32; 2]) -> Pixels {
+    let [width, height] = size;
+    let opaque = page(size, true);
+    let mut samples = Vec::new();
+    for (at, pixel) in (0u32..).zip(bytes_of(&opaque).chunks_exact(3)) {
+        let [x, y] = [at % width, at / width];
+        let is_hidden = x < 24 || y < 24 || x >= width - 24 || y >= height - 24;
+        samples.extend(if is_hidden {
+            [(x * 7) as u8, (y * 11) as u8, (x * y) as u8]
+        } else {
+            [pixel[0], pixel[1], pixel[2]]
+        });
+        samples.push(if is_hidden { 0 } else { 255 });
+    }
+    Pixels::new(width, height, Channels::Rgba, Samples::U8(samples)).unwrap()
+}
+
+#[test]
+fn a_photograph_in_a_page_with_alpha_is_left_to_gaussians_and_the_detail_layer() {
+    let size = [320, 400];
+    let pixels = cut_out(size);
+    let encoded = Encoder::new().ratio(60.0).effort(1).encode(&pixels).unwrap();
+    assert!(encoded.bytes.len() <= 320 * 400 * 4 / 60 && encoded.report.primitives > 0);
+    let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+    let covered = splats.exact.as_ref().expect("an exact layer").covered(size);
+    // The photograph is 272 pixels wide and 176 high.
+    assert!((320 * 400 - 304 * 208..=320 * 400 - 240 * 144).contains(&covered), "{covered} pixels");
+    let decoded = Decoder::new().decode(&encoded.bytes).unwrap().pixels;
+    for (own, other) in bytes_of(&pixels).chunks_exact(4).zip(bytes_of(&decoded).chunks_exact(4)) {
+        assert!(own[3].abs_diff(other[3]) <= 8, "{own:?} became {other:?}");
+    }
+    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(1).detail(Detail::Share(0.4));
     let without = without.encode(&pixels).unwrap().report.psnr;
     assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
 }

@@ -80,3 +80,33 @@ fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_rendered() {
     let said = String::from_utf8(drawn.stderr).unwrap();
     assert!(drawn.status.success() && said.contains("the requested part of the picture is complete"), "{said}");
 }
+
+#[test]
+fn missing_tiles_are_told_by_layer() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("exact-both-layers");
+    let (exact, checksum) = (376, 4);
+    let [in_exact, in_detail] = [checksum + 9, checksum + exact + 9].map(|back| bytes.len() - back);
+    for (hurt, layers) in [
+        (vec![in_exact], &["exact"][..]),
+        (vec![in_detail], &["detail"]),
+        (vec![in_exact, in_detail], &["detail", "exact"]),
+    ] {
+        let mut file = bytes.clone();
+        hurt.iter().for_each(|&at| file[at] ^= 1);
+        let (drawn, picture) = decode(&folder, &file, &["--partial", "--json"]);
+        assert!(drawn.status.success() && picture.is_some());
+        let said = String::from_utf8(drawn.stderr).unwrap();
+        for layer in ["detail", "exact"] {
+            let is_told = said.contains(&format!("1 of 1 tiles of the {layer} layer are missing"));
+            assert_eq!(is_told, layers.contains(&layer), "{hurt:?}: {said}");
+        }
+        let json = String::from_utf8(drawn.stdout).unwrap();
+        let exact = u32::from(layers.contains(&"exact"));
+        let counts = format!(
+            "\"exact_tiles\":{exact},\"of\":20,\"of_exact_tiles\":1,\"of_tiles\":2,\"primitives\":0,\"tiles\":{}",
+            layers.len()
+        );
+        assert!(json.contains(&counts), "{json}");
+    }
+}

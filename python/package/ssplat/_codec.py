@@ -225,9 +225,10 @@ def decode(
         "threads": threads,
         "limits": None if limits is None else dict(limits),
     }
-    array, (primitives, groups, of_groups, tiles, of_tiles, damaged) = _ssplat.decode(content(data, limits), options)
+    array, (primitives, groups, of_groups, *layers, damaged) = _ssplat.decode(content(data, limits), options)
     lost = [f"{groups} of {of_groups} groups with {primitives} primitives"] if groups else []
-    lost += [f"{tiles} of {of_tiles} tiles of the detail layer"] if tiles else []
+    for layer, (tiles, of_tiles) in zip(("detail", "exact"), layers, strict=True):
+        lost += [f"{tiles} of {of_tiles} tiles of the {layer} layer"] if tiles else []
     if lost:
         warnings.warn(f"{' and '.join(lost)} are missing", PartialWarning, stacklevel=2)
     elif damaged:

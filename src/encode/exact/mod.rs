@@ -16,6 +16,7 @@ use std::ops::ControlFlow;
 use self::mask::Cover;
 use self::paper::Paper;
 use self::survey::{Survey, equal_neighbours, finished, sampled_rows, sharp_edges, without_hidden};
+use super::clock::Clock;
 #[cfg(feature = "quality-hook")]
 use super::detail::quality_search::predicted_bytes;
 use super::rate_control::picture_size;
@@ -70,7 +71,7 @@ const MIN_PREDICTED: f64 = 0.75;
 /// Size of a file with near colours, relative to that prediction, up to which one fit of Gaussians is enough to compare
 /// it with. A search of several fits would take up to six times as long, for files of a few kilobytes.
 const FEW_BYTES: f64 = 1.5;
-/// Minimum share of the time limit that remains for Gaussians and the detail layer.
+/// Minimum share of the time limit that remains for Gaussians and the detail layer where there is no other file.
 const MIN_TIME: f64 = 0.05;
 
 /// Encodes the picture of `source` without loss.
@@ -209,10 +210,14 @@ pub(super) fn encode(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     let mut report = ReportBuilder::new(&mut *progress, Tracer::new(options.trace));
+    let clock = Clock::new(options.time);
     let [width, height] = source.size();
     let pixels = source.part(Rect::new(0, 0, width, height))?;
     let cleaned = Paper::of(source)?.map(|paper| paper.without_noise(&pixels)).transpose()?;
     let shown = cleaned.as_ref().unwrap_or(&pixels);
+    let has_black = options.hidden != HiddenColors::Keep && shown.channels().alpha().is_some();
+    let blackened = has_black.then(|| without_hidden(shown.clone())).transpose()?;
+    let shown = blackened.as_ref().unwrap_or(shown);
     let survey = Survey::of(shown, options, &mut report)?;
     if survey.is_constant {
         return encode_photograph(source, options, executor, progress);
@@ -242,7 +247,7 @@ pub(super) fn encode(
         Some(fitting) => Some(fitting),
         None => {
             let exact = larger.as_ref().map(|exact| exact.bytes.len());
-            search::near(&survey, &judge, (shown, mask.as_ref()), exact, options, &mut report)?
+            search::near(&survey, &judge, (shown, mask.as_ref()), (exact, &clock), options, &mut report)?
         }
     };
     let near = match goal {
@@ -260,13 +265,18 @@ pub(super) fn encode(
     let lossy_options = EncodeOptions { time, ..options.clone() };
     let Some(near) = near else { return steps::encode(source, &lossy_options, executor, report.progress) };
     let is_sure = cleaned.is_none() && near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
-    let predicted = if is_sure { 0.0 } else { goal.predicted_bytes(&pixels, options) };
-    if !is_sure && near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
-        let has_alternative =
-            (near.tolerance > 0 || cleaned.is_some()) && near.bytes.len() as f64 <= FEW_BYTES * predicted;
-        let lossy_options = EncodeOptions { has_alternative, ..lossy_options };
+    if is_sure || clock.is_over() {
+        return finish(near, Some(&pixels), options, report);
+    }
+    let predicted = goal.predicted_bytes(&pixels, options);
+    // Where alpha is soft, photographs take fewer bytes than predicted.
+    let is_unpredictable = pixels.channels().alpha().is_some() && !near.splats.gaussians.is_empty();
+    if is_unpredictable || near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
+        let is_close = (near.tolerance > 0 || cleaned.is_some()) && near.bytes.len() as f64 <= FEW_BYTES * predicted;
+        let alternative = is_close.then_some(near.bytes.len() as u64);
+        let lossy_options = EncodeOptions { alternative, ..lossy_options };
         let since = report.seconds();
-        match lossy(source, &judge, &near, &lossy_options, executor, &mut report) {
+        match lossy(source, &judge, &near, (&lossy_options, &clock), executor, &mut report) {
             Ok(Some(lossy)) => return Ok(lossy),
             Ok(None) | Err(Error::TooSmall { .. } | Error::LimitExceeded { .. }) => {}
             Err(error) => return Err(error),
@@ -281,28 +291,32 @@ fn lossy(
     source: &dyn PixelSource,
     judge: &Judge<'_>,
     near: &Candidate,
-    options: &EncodeOptions,
+    (options, clock): (&EncodeOptions, &Clock),
     executor: Executor<'_>,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Encoded>> {
     let progress = &mut *report.progress;
+    let timed = |options: &EncodeOptions| EncodeOptions { time: clock.left(), ..options.clone() };
     if let Goal::Bytes(_) = judge.goal {
         let other = dissimilarity(judge.pixels, &near.splats, options)?;
         if EffortSettings::from_preset(options.effort).compares_quickly {
-            let quick = EncodeOptions { effort: QUICK_EFFORT, ..options.clone() };
-            let quick = read(&steps::encode(source, &quick, Executor::Own, progress)?.bytes)?;
-            if dissimilarity(judge.pixels, &quick, options)? > other + MAX_GAIN {
+            let quick = EncodeOptions { effort: QUICK_EFFORT, ..timed(options) };
+            let quick = steps::encode(source, &quick, Executor::Own, progress)?;
+            if dissimilarity(judge.pixels, &read(&quick.bytes)?, options)? > other + MAX_GAIN {
                 return Ok(None);
             }
+            if clock.is_over() {
+                return Ok((dissimilarity(judge.pixels, &read(&quick.bytes)?, options)? <= other).then_some(quick));
+            }
         }
-        let lossy = steps::encode(source, options, executor, progress)?;
+        let lossy = steps::encode(source, &timed(options), executor, progress)?;
         let own = dissimilarity(judge.pixels, &read(&lossy.bytes)?, options)?;
         return Ok((own <= other).then_some(lossy));
     }
     // One fit to the size of `near` shows whether a search can find a smaller file.
     let mut of_same_size = |effort: u8| {
         let (target, thumbnail) = (Target::Bytes(near.bytes.len() as u64), Thumbnail::Never);
-        let plain = EncodeOptions { target, effort, thumbnail, cicp: None, icc: None, exif: None, ..options.clone() };
+        let plain = EncodeOptions { target, effort, thumbnail, cicp: None, icc: None, exif: None, ..timed(options) };
         read(&steps::encode(source, &plain, Executor::Own, progress)?.bytes)
     };
     if let Goal::Psnr(_) = judge.goal
@@ -318,7 +332,10 @@ fn lossy(
     {
         return Ok(None);
     }
-    let lossy = steps::encode(source, options, executor, progress)?;
+    if clock.is_over() {
+        return Ok(None);
+    }
+    let lossy = steps::encode(source, &timed(options), executor, progress)?;
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
         && found < wanted - MISSED

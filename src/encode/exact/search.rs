@@ -11,9 +11,11 @@ use crate::bitstream::exact::near::approximate;
 use crate::bitstream::exact::tile::Shape;
 use crate::bitstream::exact::{ExactTile, tile_area};
 use crate::bitstream::splats::PackedSplats;
+use crate::encode::clock::Clock;
 use crate::encode::report::ReportBuilder;
 use crate::encode::thumbnail;
 use crate::error::Result;
+use crate::instant::Instant;
 use crate::options::EncodeOptions;
 use crate::parallel;
 use crate::pixels::Pixels;
@@ -56,7 +58,7 @@ pub(super) fn near(
     survey: &Survey,
     judge: &Judge<'_>,
     (shown, mask): (&Pixels, Option<&Mask>),
-    exact: Option<usize>,
+    (exact, clock): (Option<usize>, &Clock),
     options: &EncodeOptions,
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
@@ -67,21 +69,25 @@ pub(super) fn near(
         Goal::Bytes(bytes) => {
             let bytes = bytes.saturating_sub(thumbnail::reserved(options, survey.size, bytes));
             if mask.is_some() && exact.is_some_and(|exact| exact as f64 <= ALMOST_FITS * bytes as f64) {
-                let found = fitting(survey, &survey.layer, None, (bytes, MAX_SURE_TOLERANCE), report)?;
+                let found = fitting(survey, &survey.layer, None, (bytes, MAX_SURE_TOLERANCE), (clock, report))?;
                 if let Some((layer, tolerance)) = found {
                     report.stage("exact layer", since);
                     return Candidate::new(survey.file(layer, options), tolerance).map(Some);
                 }
             }
-            fitting(survey, layer, mask, (bytes, MAX_TOLERANCE), report)?.map(|found| (found, bytes))
+            fitting(survey, layer, mask, (bytes, MAX_TOLERANCE), (clock, report))?.map(|found| (found, bytes))
         }
         _ => {
-            let photographs = mask.map(|mask| mixed::reaching(mask, judge, options, report)).transpose()?;
+            // Photographs take most of the time.
+            if mask.is_some() && clock.is_over() {
+                return Ok(None);
+            }
+            let photographs = mask.map(|mask| mixed::reaching(mask, judge, clock, options, report)).transpose()?;
             // There is a mask, but no file of its photographs.
             if let Some(None) = photographs {
                 return Ok(None);
             }
-            return reaching(survey, layer, photographs.flatten().as_ref(), judge, options, report);
+            return reaching(survey, layer, photographs.flatten().as_ref(), judge, options, (clock, report));
         }
     };
     report.stage("exact layer", since);
@@ -89,17 +95,18 @@ pub(super) fn near(
     let file = survey.file(layer, options);
     match mask {
         None => Candidate::new(file, tolerance).map(Some),
-        Some(mask) => mixed::file((file, tolerance), mask, judge.pixels, bytes, options, report),
+        Some(mask) => mixed::file((file, tolerance), mask, judge.pixels, (bytes, clock), options, report),
     }
 }
 
-/// Returns the layer with the smallest tolerance up to `most` that fits into `bytes`, and the tolerance.
+/// Returns the layer with the smallest tolerance up to `most` that fits into `bytes`, and the tolerance. When the time ends,
+/// it is the smallest one that was tried, or `most`.
 fn fitting(
     survey: &Survey,
     layer: &ExactLayer,
     mask: Option<&Mask>,
     (bytes, most): (u64, u32),
-    report: &mut ReportBuilder<'_>,
+    (clock, report): (&Clock, &mut ReportBuilder<'_>),
 ) -> Result<Option<(ExactLayer, u32)>> {
     let room = bytes.saturating_sub(FILE_BYTES) as f64;
     // The largest tolerance that does not fit, and the smallest that does.
@@ -107,7 +114,9 @@ fn fitting(
     let (mut next, mut last, mut power) = (FIRST_TOLERANCE.min(most), None::<[f64; 2]>, FALL);
     loop {
         report.stage_progress("exact layer", too_small as f32 / most as f32)?;
+        let start = Instant::now();
         let tried = approximated(survey, layer, next, None);
+        let has_time = clock.left().is_none_or(|left| left > start.elapsed());
         let bytes = tried.bytes + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32) / (1.0 - BASE_SHARE));
         let logs = [f64::from(next), bytes / room].map(|v| v.strict_ln());
         if bytes <= room {
@@ -120,11 +129,14 @@ fn fitting(
             too_small = next;
         }
         let fits = best.as_ref().map_or(most + 1, |&(_, fits)| fits);
+        if !has_time && best.is_some() {
+            break;
+        }
         if too_small + 1 >= fits {
             // Between no loss and a tolerance of 1, a part of the picture can be without loss.
             if let (Some((coarse, 1)), None) = (&best, mask) {
                 report.stage_progress("exact layer", 0.0)?;
-                let mixed = partly_exact(survey, layer, coarse, room);
+                let mixed = partly_exact(survey, layer, coarse, room, clock);
                 best = best.map(|(coarse, fits)| (mixed.unwrap_or(coarse), fits));
             }
             break;
@@ -136,6 +148,9 @@ fn fitting(
         last = Some(logs);
         let wanted = (logs[0] + logs[1] / power).strict_exp().ceil();
         next = (wanted.min(f64::from(most)) as u32).clamp(too_small + 1, fits - 1);
+        if !has_time {
+            next = most;
+        }
     }
     Ok(best.map(|(found, tolerance)| (found.layer, tolerance)))
 }
@@ -143,7 +158,13 @@ fn fitting(
 /// Returns a layer that fits into `room` bytes and is without loss in as many cells as possible; the others have a
 /// tolerance of 1, with which `coarse` fits. These are the cells in which that saves most, whose colours hide the
 /// difference best. Returns `None` if no such layer is found.
-fn partly_exact(survey: &Survey, layer: &ExactLayer, coarse: &Approximation, room: f64) -> Option<Approximation> {
+fn partly_exact(
+    survey: &Survey,
+    layer: &ExactLayer,
+    coarse: &Approximation,
+    room: f64,
+    clock: &Clock,
+) -> Option<Approximation> {
     let exact = approximated(survey, layer, 0, None);
     let mut saved: Vec<(f32, usize, usize)> = Vec::new();
     for (tile, (exact, coarse)) in exact.bits.iter().zip(&coarse.bits).enumerate() {
@@ -168,13 +189,16 @@ fn partly_exact(survey: &Survey, layer: &ExactLayer, coarse: &Approximation, roo
         if found.bytes <= room {
             return Some(found);
         }
+        if clock.is_over() {
+            break;
+        }
         let share = (AIMED * room - coarse.bytes) / (found.bytes - coarse.bytes);
         aim = coarse.bytes + share.clamp(0.0, 1.0) * (aim - coarse.bytes);
     }
     None
 }
 
-/// Returns the file with the largest tolerance that reaches a quality, if one does. `photographs` is what the layer does
+/// Returns the file with the largest tolerance that reaches a quality, if one does, of those that are tried in time. `photographs` is what the layer does
 /// not cover.
 fn reaching(
     survey: &Survey,
@@ -182,13 +206,14 @@ fn reaching(
     photographs: Option<&PackedSplats>,
     judge: &Judge<'_>,
     options: &EncodeOptions,
-    report: &mut ReportBuilder<'_>,
+    (clock, report): (&Clock, &mut ReportBuilder<'_>),
 ) -> Result<Option<Candidate>> {
     let (mut reaches, mut misses, mut best) = (0, MAX_TOLERANCE + 1, None);
     let mut next = FIRST_TOLERANCE;
     // Finer steps hardly change the size.
     while reaches + 1 < misses && reaches * MIN_STEP < misses * (MIN_STEP - 1) {
         report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
+        let start = Instant::now();
         let layer = approximated(survey, layer, next, None).layer;
         let splats = match photographs {
             Some(photographs) => PackedSplats { exact: Some(Arc::new(layer)), ..photographs.clone() },
@@ -198,6 +223,9 @@ fn reaching(
             (reaches, best) = (next, Some((splats, next)));
         } else {
             misses = next;
+        }
+        if clock.left().is_some_and(|left| left < start.elapsed()) {
+            break;
         }
         let middle = (f64::from(reaches.max(1)) * f64::from(misses)).sqrt() as u32;
         next = middle.clamp(reaches + 1, (misses - 1).max(reaches + 1));

@@ -20,6 +20,8 @@ const TIMED_PARTS: u32 = 4;
 const TOLERANCE: f64 = 0.5;
 /// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
 const MAX_TRIMMED: f64 = 4.0;
+/// Expected size of a file, relative to another file that reaches the score, up to which it is searched for.
+const MAX_EXPECTED: f64 = 0.7;
 /// The typical curve, shifted along the sizes to match a picture. Pictures differ from it mostly by such a shift.
 struct Points;
 
@@ -44,7 +46,10 @@ pub(super) fn to_quality(prepared: &mut Prepared<'_>, wanted: f64, encode_at: En
     let samples = prepared.state().samples();
     let known = match at_quality(prepared, wanted)? {
         AtQuality::Done(outcome) => return as_written(prepared, *outcome),
-        _ if prepared.state().options.has_alternative => return nothing(prepared),
+        AtQuality::Expected { bytes, .. } if is_hopeless(prepared.state().options.alternative, bytes) => {
+            return nothing(prepared);
+        }
+        AtQuality::Unknown if prepared.state().options.alternative.is_some() => return nothing(prepared),
         AtQuality::Expected { bytes, seen } => {
             let size = |bytes: f64| (bytes / samples).strict_log2();
             let tries = seen.iter().map(|&(bytes, score)| Try { size: size(bytes as f64), score }).collect();
@@ -82,6 +87,11 @@ fn at_quality(prepared: &mut Prepared<'_>, wanted: f64) -> Result<AtQuality> {
 /// levels or a detail layer.
 fn can_be_trimmed(prepared: &Prepared<'_>, outcome: &Outcome) -> bool {
     matches!(prepared, Prepared::Whole(_)) && outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
+}
+
+/// Returns whether a search that is expected to end with this many bytes will hardly find a smaller file than another one.
+fn is_hopeless(alternative: Option<u64>, expected: f64) -> bool {
+    alternative.is_some_and(|bytes| expected > MAX_EXPECTED * bytes as f64)
 }
 
 /// Measures the score of the file. A decoder renders the Gaussians in the order of the file, which changes the last bits.
