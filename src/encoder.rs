@@ -1,11 +1,12 @@
 //! The encoder's public interface: setters for the options, and methods that encode pictures.
 
+use std::io::Write;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
 use crate::bitstream::cicp::Cicp;
 use crate::bitstream::splats::Layout;
-use crate::encode::{Encoded, Executor, Progress, Workers, encode_by};
+use crate::encode::{EncodeReport, Encoded, Executor, Progress, Workers, encode_by};
 use crate::error::Result;
 use crate::gaussian::Gaussians;
 use crate::options::{Backend, Detail, EncodeOptions, HiddenColors, MetadataPolicy, Thumbnail, Tune};
@@ -16,11 +17,11 @@ use crate::target::Target;
 /// Encodes pictures. Options that are not set have the defaults stated at their setters.
 ///
 /// ```
-/// use ssplat::{Channels, Encoder, Pixels, Samples};
+/// use ssplat::{Channels, Encoder, Pixels};
 ///
 /// // A grey ramp of 32 × 16 pixels, rows from the top, 8 bits a sample.
-/// let ramp = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-/// let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(ramp))?;
+/// let ramp: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+/// let pixels = Pixels::new(32, 16, Channels::Grey, ramp)?;
 ///
 /// let encoded = Encoder::new().bytes(120).effort(1).encode(&pixels)?;
 /// assert!(encoded.bytes.len() <= 120);
@@ -80,10 +81,10 @@ impl Encoder {
     /// tuning have no effect.
     ///
     /// ```
-    /// use ssplat::{Channels, Decoder, Encoder, Pixels, Samples};
+    /// use ssplat::{Channels, Decoder, Encoder, Pixels};
     ///
-    /// let samples = (0..20 * 10 * 3).map(|i| (i * i % 251) as u8).collect();
-    /// let pixels = Pixels::new(20, 10, Channels::Rgb, Samples::U8(samples))?;
+    /// let samples: Vec<u8> = (0..20 * 10 * 3).map(|i| (i * i % 251) as u8).collect();
+    /// let pixels = Pixels::new(20, 10, Channels::Rgb, samples)?;
     /// let file = Encoder::new().lossless().encode(&pixels)?.bytes;
     /// assert_eq!(Decoder::new().decode(&file)?.pixels, pixels);
     /// # Ok::<(), ssplat::Error>(())
@@ -220,6 +221,17 @@ impl Encoder {
     pub fn exif(mut self, exif: Vec<u8>) -> Self {
         self.options.exif = Some(exif);
         self
+    }
+
+    /// Encodes a picture, as [`encode`](Encoder::encode) does, and writes the file to `writer`. Nothing is written if the
+    /// encode fails.
+    ///
+    /// # Errors
+    /// As [`encode`](Encoder::encode), and [`Error::Io`](crate::Error::Io) from `writer`.
+    pub fn encode_to(&self, source: &dyn PixelSource, mut writer: impl Write) -> Result<EncodeReport> {
+        let Encoded { bytes, report } = self.encode(source)?;
+        writer.write_all(&bytes)?;
+        Ok(report)
     }
 
     /// Encodes a picture: [`Pixels`](crate::Pixels), an `image::DynamicImage` or another source. If the picture is

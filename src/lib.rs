@@ -18,11 +18,11 @@
 //! [`effort`](Encoder::effort) and [`time`](Encoder::time) trade time for quality.
 //!
 //! ```
-//! use ssplat::{Channels, Encoder, Pixels, Samples};
+//! use ssplat::{Channels, Encoder, Pixels};
 //!
 //! // A grey gradient of 32 × 16 pixels: rows from the top, 8 bits per sample.
-//! let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //!
 //! let encoded = Encoder::new().bytes(120).effort(1).encode(&pixels)?;
 //! assert!(encoded.bytes.len() <= 120);
@@ -39,9 +39,9 @@
 //! [size](Decoder::size). [`Reader::thumbnail`] reads the thumbnail of a large file.
 //!
 //! ```
-//! # use ssplat::{Channels, Encoder, Pixels, Samples};
-//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # use ssplat::{Channels, Encoder, Pixels};
+//! # let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
 //! use ssplat::Decoder;
 //!
@@ -62,9 +62,9 @@
 //! reads only the data that a view needs, which is little for a small region of a large file.
 //!
 //! ```
-//! # use ssplat::{Channels, Encoder, Pixels, Samples};
-//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # use ssplat::{Channels, Encoder, Pixels};
+//! # let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
 //! use ssplat::{Damage, Limits, Reader, Rect};
 //!
@@ -90,9 +90,9 @@
 //! file.
 //!
 //! ```
-//! # use ssplat::{Channels, Pixels, Samples};
-//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # use ssplat::{Channels, Pixels};
+//! # let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //! # let bytes = ssplat::Encoder::new().effort(1).encode(&pixels)?.bytes;
 //! use ssplat::{Damage, Encoder, Limits, Reader};
 //!
@@ -138,9 +138,9 @@ assert_eq!(picture.width(), 8);
 //! allow large pictures; a service that decodes uploads should set its own:
 //!
 //! ```
-//! # use ssplat::{Channels, Encoder, Pixels, Samples};
-//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # use ssplat::{Channels, Encoder, Pixels};
+//! # let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
 //! use ssplat::{Decoder, Error, Limit, Limits};
 //!

@@ -78,7 +78,7 @@ fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
         (Parameter::Recipe, options.recipe != plain.recipe),
         (Parameter::Tune, options.tune.is_some()),
         (Parameter::Backend, options.backend == Backend::Gpu),
-        (Parameter::Detail, matches!(options.detail, Detail::Share(_))),
+        (Parameter::Detail, matches!(options.detail, Detail::GaussianShare(_))),
         (Parameter::Thumbnail, matches!(options.thumbnail, Thumbnail::Bytes(_))),
         (Parameter::Tiles, options.tiles.is_some()),
         (Parameter::Trace, options.trace == Trace::On),

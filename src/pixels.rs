@@ -14,6 +14,30 @@ pub enum Samples {
     U16(Vec<u16>),
 }
 
+impl From<Vec<u8>> for Samples {
+    fn from(samples: Vec<u8>) -> Self {
+        Samples::U8(samples)
+    }
+}
+
+impl From<&[u8]> for Samples {
+    fn from(samples: &[u8]) -> Self {
+        Samples::U8(samples.to_vec())
+    }
+}
+
+impl From<Vec<u16>> for Samples {
+    fn from(samples: Vec<u16>) -> Self {
+        Samples::U16(samples)
+    }
+}
+
+impl From<&[u16]> for Samples {
+    fn from(samples: &[u16]) -> Self {
+        Samples::U16(samples.to_vec())
+    }
+}
+
 /// A picture of pixels. It always has exactly width × height × channels samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[doc(alias("bitmap", "image_buffer"))]
@@ -25,11 +49,13 @@ pub struct Pixels {
 }
 
 impl Pixels {
-    /// Returns a picture with these `samples`: rows from the top, channels interleaved.
+    /// Returns a picture with these `samples`: rows from the top, channels interleaved. They are of 8 bits (`Vec<u8>`,
+    /// `&[u8]`), of 16 bits (`Vec<u16>`, `&[u16]`), or [`Samples`].
     ///
     /// # Errors
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰, or if the number of samples is not width × height × channels.
-    pub fn new(width: u32, height: u32, channels: Channels, samples: Samples) -> Result<Self> {
+    pub fn new(width: u32, height: u32, channels: Channels, samples: impl Into<Samples>) -> Result<Self> {
+        let samples = samples.into();
         for (parameter, side) in [(Parameter::Width, width), (Parameter::Height, height)] {
             if side == 0 || side > 1 << 20 {
                 return Err(Error::Parameter { parameter, problem: format!("{side} is outside 1..=1048576") });

@@ -43,7 +43,7 @@ fn values_out_of_range_are_named_in_the_error() {
         (Encoder::new().psnr(-1.0), "psnr"),
         (Encoder::new().levels(9), "levels"),
         (Encoder::new().tiles(100), "tiles"),
-        (Encoder::new().detail(Detail::Share(1.0)), "detail"),
+        (Encoder::new().detail(Detail::GaussianShare(1.0)), "detail"),
     ] {
         let Err(Error::Parameter { parameter, .. }) = encoder.encode(&picture()) else { panic!("{wanted}") };
         assert_eq!(parameter.name(), wanted);
@@ -214,7 +214,7 @@ fn options_and_values_that_gaussians_cannot_have_are_named_in_the_error() {
         (Encoder::new().tiles(256), "tiles"),
         (Encoder::new().psnr(30.0), "psnr"),
         (Encoder::new().time(std::time::Duration::from_secs(1)), "time"),
-        (Encoder::new().detail(Detail::Share(0.5)), "detail"),
+        (Encoder::new().detail(Detail::GaussianShare(0.5)), "detail"),
         (Encoder::new().thumbnail(Thumbnail::Bytes(100)), "thumbnail"),
         (Encoder::new().target(Target::Primitives(9)), "primitives"),
         (Encoder::new().levels(2).layout(Layout::Planes), "levels"),
@@ -324,4 +324,28 @@ fn pictures_of_the_image_crate_are_saved_and_opened() {
     let again = folder.path().join("again.ssplat");
     Encoder::new().effort(1).transcode(&path, &again).unwrap();
     assert_eq!(image::open(again).unwrap().width(), 20);
+}
+
+#[test]
+fn slices_are_pixels_and_files_go_to_writers_and_come_from_paths() {
+    let samples: Vec<u8> = (0..20 * 10 * 3).map(|i| i as u8).collect();
+    let pixels = Pixels::new(20, 10, Channels::Rgb, &samples[..]).unwrap();
+    assert_eq!(pixels, Pixels::new(20, 10, Channels::Rgb, Samples::U8(samples.clone())).unwrap());
+    let wide: Vec<u16> = samples.iter().map(|&v| 257 * u16::from(v)).collect();
+    assert_eq!(Pixels::new(20, 10, Channels::Rgb, &wide[..]).unwrap().depth(), Depth::Sixteen);
+    assert!(Pixels::new(20, 10, Channels::Rgb, &samples[1..]).is_err());
+
+    let encoder = Encoder::new().bytes(300).effort(1);
+    let mut written = Vec::new();
+    encoder.encode_to(&pixels, &mut written).unwrap();
+    assert_eq!(written, encoder.encode(&pixels).unwrap().bytes);
+    let refused = encoder.encode_to(&pixels, &mut [0u8; 9][..]);
+    assert!(matches!(refused, Err(Error::Io(_))), "{refused:?}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("picture.ssplat");
+    std::fs::write(&path, &written).unwrap();
+    assert_eq!(Decoder::new().decode_file(&path).unwrap().pixels, Decoder::new().decode(&written).unwrap().pixels);
+    let missing = Decoder::new().decode_file(folder.path().join("missing.ssplat")).unwrap_err().to_string();
+    assert!(missing.contains("missing.ssplat"), "{missing}");
 }

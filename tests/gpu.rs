@@ -70,7 +70,7 @@ fn encoder(device: &Device) {
 fn tiles(device: &Device) {
     // Two tiles, because software Vulkan takes half a minute for each fit of a tile.
     let pixels = waves::picture(200, 100, Channels::Rgb);
-    for (target, detail) in [(Target::Bytes(330), Detail::Off), (Target::Bytes(720), Detail::Share(0.5))] {
+    for (target, detail) in [(Target::Bytes(330), Detail::Off), (Target::Bytes(720), Detail::GaussianShare(0.5))] {
         let mut options = EncodeOptions::default();
         (options.target, options.effort, options.tiles, options.detail) = (target, 1, Some(128), detail);
         let [gpu, again, cpu] = [Backend::Gpu, Backend::Gpu, Backend::Cpu].map(|backend| {

@@ -631,7 +631,7 @@ fn detail(text: &str) -> Result<Detail, String> {
         "auto" => Ok(Detail::Auto),
         "off" => Ok(Detail::Off),
         share => match share.parse() {
-            Ok(share) if share > 0.0 && share < 1.0 => Ok(Detail::Share(share)),
+            Ok(share) if share > 0.0 && share < 1.0 => Ok(Detail::GaussianShare(share)),
             _ => Err("not auto, off or a share above 0 and below 1".into()),
         },
     }

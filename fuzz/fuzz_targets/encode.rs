@@ -39,7 +39,7 @@ impl<'a> Arbitrary<'a> for Input {
         options.detail = match u.int_in_range(0..=3u8)? {
             0 => Detail::Off,
             1 if is_coded && !matches!(options.target, Target::Primitives(_)) => {
-                Detail::Share(f64::from(u.int_in_range(1..=254u8)?) / 255.0)
+                Detail::GaussianShare(f64::from(u.int_in_range(1..=254u8)?) / 255.0)
             }
             _ => Detail::Auto,
         };

@@ -162,7 +162,7 @@ fn compare_crops(args: &Args, side: u32) -> Result<()> {
     let mut means = Vec::new();
     for &effort in &args.efforts {
         for layer in &args.layers {
-            let detail = if layer == "half" { Detail::Share(0.5) } else { Detail::Off };
+            let detail = if layer == "half" { Detail::GaussianShare(0.5) } else { Detail::Off };
             let mut of_crops = Vec::new();
             for path in &args.pictures {
                 let pixels = opened(path)?;

@@ -61,7 +61,7 @@ enum Division {
 impl Division {
     fn parse(&self) -> PyResult<Detail> {
         match self {
-            Division::Share(share) if *share > 0.0 && *share < 1.0 => Ok(Detail::Share(*share)),
+            Division::Share(share) if *share > 0.0 && *share < 1.0 => Ok(Detail::GaussianShare(*share)),
             Division::Share(share) => Err(parameter("detail", format!("{share} is not above 0 and below 1"))),
             Division::Name(name) => names::value("detail", &names::DETAILS, name),
         }

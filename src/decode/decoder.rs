@@ -1,6 +1,9 @@
 //! The decoder's public interface: options as setters, and methods that decode files.
 
-use super::{Decoded, decode, decode_into};
+use std::path::Path;
+
+use super::reader::Reader;
+use super::{Decoded, decode, decode_into, decode_opened};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions, Layers};
@@ -12,10 +15,10 @@ use crate::rect::Rect;
 /// ```no_run
 /// use ssplat::{Decoder, Rect};
 ///
-/// let bytes = std::fs::read("photo.ssplat")?;
-/// let whole = Decoder::new().decode(&bytes)?.pixels;
+/// let whole = Decoder::new().decode_file("photo.ssplat")?.pixels;
 ///
 /// // The part of 640 × 480 pixels at (100, 50), at half the size.
+/// let bytes = std::fs::read("photo.ssplat")?;
 /// let part = Decoder::new().region(Rect::new(100, 50, 640, 480)).size([320, 240]).decode(&bytes)?.pixels;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -83,6 +86,14 @@ impl Decoder {
     /// and for a size outside `1..=2²⁰`.
     pub fn decode(&self, bytes: &[u8]) -> Result<Decoded> {
         decode(bytes, &self.options)
+    }
+
+    /// Decodes the file at `path`, as [`decode`](Decoder::decode) does.
+    ///
+    /// # Errors
+    /// As [`decode`](Decoder::decode), and [`Error::Io`](crate::Error::Io), whose message names the path.
+    pub fn decode_file(&self, path: impl AsRef<Path>) -> Result<Decoded> {
+        decode_opened(Reader::open(path, &self.options.limits)?, &self.options)
     }
 
     /// Decodes the file `bytes` into `out`, row by row with interleaved channels, at the bit depth of `out`. Use this

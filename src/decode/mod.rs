@@ -38,7 +38,11 @@ pub struct Decoded {
 /// files that cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for files that exceed the limits,
 /// [`Error::Parameter`](crate::Error::Parameter) for a region that is empty or not within the picture.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
-    let opening = Reader::new(bytes, &options.limits)?;
+    decode_opened(Reader::new(bytes, &options.limits)?, options)
+}
+
+/// Decodes an opened file.
+fn decode_opened(opening: Reader<'_>, options: &DecodeOptions) -> Result<Decoded> {
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
     let (depth, missing) = (opened.splats.depth, opened.missing());

@@ -5,7 +5,7 @@
 //! | no size is requested, or a file without primitives is larger than the requested size | Gaussians alone |
 //! | 16-bit samples within a narrow range | one colour, and a detail layer with all other bytes |
 //! | another layout or method, `Detail::Off`, or not [worth a layer](has_layer) | Gaussians alone |
-//! | `Detail::Share` | that share for the Gaussians, the rest for the layer |
+//! | `Detail::GaussianShare` | that share for the Gaussians, the rest for the layer |
 //! | otherwise | [`base_bytes`] for the Gaussians, the rest for the layer |
 //!
 //! The best number of Gaussians depends on the picture and hardly on the requested file size. Gaussians represent large
@@ -198,7 +198,7 @@ pub(super) fn allocate(prepared: &Prepared<'_>, size: Size, time: Option<Duratio
     }
     let texture = texture(options, || prepared.measured_texture());
     let base_budget = match options.detail {
-        Detail::Share(share) => all * share,
+        Detail::GaussianShare(share) => all * share,
         _ => {
             let suited = base_bytes(&state.settings.allocation, pixels, texture, (samples / all).max(20.0), all);
             (state.base_factor.unwrap_or(1.0) * suited).min(MAX_TRIED_SHARE * all)
@@ -362,7 +362,7 @@ pub(super) fn has_layer(
 ) -> bool {
     match options.detail {
         _ if !may_have_layer(options) => false,
-        Detail::Share(_) => true,
+        Detail::GaussianShare(_) => true,
         Detail::Auto => {
             let texture = self::texture(options, texture);
             is_worth_a_layer(

@@ -28,13 +28,13 @@ pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
         return bad(Parameter::Tiles, format!("{side} is not a multiple of {least} within {least}..={most}"));
     }
     match options.detail {
-        Detail::Share(share) if !(share > 0.0 && share < 1.0) => {
+        Detail::GaussianShare(share) if !(share > 0.0 && share < 1.0) => {
             return bad(Parameter::Detail, format!("a share of {share} is not between 0 and 1"));
         }
-        Detail::Share(_) if options.layout != Layout::Coded => {
+        Detail::GaussianShare(_) if options.layout != Layout::Coded => {
             return bad(Parameter::Detail, "only the coded layout has a detail layer".into());
         }
-        Detail::Share(_) if matches!(options.target, Target::Primitives(_)) => {
+        Detail::GaussianShare(_) if matches!(options.target, Target::Primitives(_)) => {
             return bad(Parameter::Detail, "a file of a number of primitives has no detail layer".into());
         }
         _ => {}

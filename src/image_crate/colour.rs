@@ -170,6 +170,7 @@ fn is_valid(c: &[f64; 8]) -> bool {
 pub enum Transfer {
     Srgb,
     /// ITU-R BT.709.
+    #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "only the program reads such files"))]
     Bt709,
     /// The exponent; 1 is linear.
     Gamma(f64),

@@ -132,7 +132,7 @@ pub enum Detail {
     /// No detail layer: Gaussians alone.
     Off,
     /// Share of the bytes for the Gaussians, above 0 and below 1; the layer gets the rest.
-    Share(f64),
+    GaussianShare(f64),
 }
 
 /// Treatment of colours under alpha 0, which no viewer shows.

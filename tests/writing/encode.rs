@@ -297,7 +297,7 @@ fn the_default_effort_finds_the_best_division_for_a_page_with_a_picture() {
         1.0 - metrics::compare(&pixels, &drawn.pixels).unwrap().ms_ssim.unwrap()
     };
     let found = dissimilarity(Detail::Auto);
-    let others = [0.3, 0.6, 0.85].map(|share| dissimilarity(Detail::Share(share)));
+    let others = [0.3, 0.6, 0.85].map(|share| dissimilarity(Detail::GaussianShare(share)));
     let best = others.into_iter().fold(f64::INFINITY, f64::min);
     // The encoder tries shares that differ by a factor of 1.6.
     assert!(found < 1.2 * best, "{found} instead of {others:?}");

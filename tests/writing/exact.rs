@@ -267,7 +267,7 @@ fn a_photograph_in_a_page_is_left_to_gaussians_and_the_detail_layer() {
     let near = |(own, other): (&u8, &u8)| own.abs_diff(*other) <= 48;
     assert!(bytes_of(&pixels)[..letters].iter().zip(bytes_of(&decoded)).all(near));
     // The same bytes without the layer.
-    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(2).detail(Detail::Share(0.4));
+    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(2).detail(Detail::GaussianShare(0.4));
     let without = without.encode(&pixels).unwrap().report.psnr;
     assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
 }
@@ -304,7 +304,7 @@ fn a_photograph_in_a_page_with_alpha_is_left_to_gaussians_and_the_detail_layer()
     for (own, other) in bytes_of(&pixels).chunks_exact(4).zip(bytes_of(&decoded).chunks_exact(4)) {
         assert!(own[3].abs_diff(other[3]) <= 8, "{own:?} became {other:?}");
     }
-    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(1).detail(Detail::Share(0.4));
+    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(1).detail(Detail::GaussianShare(0.4));
     let without = without.encode(&pixels).unwrap().report.psnr;
     assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
 }
@@ -340,7 +340,7 @@ fn letters_beside_a_dithered_gradient_have_the_exact_layer() {
         bytes_of(pixels)[at..][..3].to_vec()
     };
     assert_eq!(ground(&decoded), ground(&pixels));
-    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(1).detail(Detail::Share(0.4));
+    let without = Encoder::new().bytes(encoded.bytes.len() as u64).effort(1).detail(Detail::GaussianShare(0.4));
     let without = without.encode(&pixels).unwrap().report.psnr;
     assert!(encoded.report.psnr > without + 3.0, "{} dB, without the layer {without}", encoded.report.psnr);
 }
@@ -379,7 +379,7 @@ fn letters_on_paper_with_noise_stay_sharp_in_small_files() {
     for (channels, bits) in [(Channels::Grey, 8), (Channels::Grey, 16), (Channels::Rgb, 8), (Channels::Rgb, 16)] {
         let pixels = scan([240, 200], channels, bits);
         let encode = |encoder: Encoder| encoder.ratio(60.0).effort(1).encode(&pixels).unwrap().report;
-        let (own, without) = (encode(Encoder::new()), encode(Encoder::new().detail(Detail::Share(0.4))));
+        let (own, without) = (encode(Encoder::new()), encode(Encoder::new().detail(Detail::GaussianShare(0.4))));
         let what = format!("{channels:?}, {bits} bits: {} dB, without the layer {}", own.psnr, without.psnr);
         assert!(own.primitives == 0 && own.psnr > without.psnr + 5.0, "{what}");
         assert!(own.skipped.iter().any(|l| l.what == SkipReason::NearColors), "{what}");

@@ -203,7 +203,7 @@ fn bytes_saved_by_a_codebook_are_those_that_a_file_without_it_takes() {
     ] {
         for ratio in [20.0, 50.0] {
             let mut options = options(1, Target::Ratio(ratio));
-            (options.tune, options.detail) = (Some(Tune::Iq), Detail::Share(0.5));
+            (options.tune, options.detail) = (Some(Tune::Iq), Detail::GaussianShare(0.5));
             let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
             let reported = encoded.report.skipped.iter().find(|l| l.what == SkipReason::OwnColors).map(|l| l.bytes);
             let mut splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();

@@ -88,7 +88,7 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
         ("tune ssim", photo(), |o| (o.target, o.tune, o.effort) = (Target::Ratio(25.0), Some(Tune::Ssim), 3)),
         ("no layer", photo(), |o| (o.detail, o.effort) = (Detail::Off, 3)),
         ("share of .5", photo(), |o| {
-            (o.target, o.detail, o.effort) = (Target::Ratio(20.0), Detail::Share(0.5), 2);
+            (o.target, o.detail, o.effort) = (Target::Ratio(20.0), Detail::GaussianShare(0.5), 2);
         }),
         ("500 primitives", photo(), |o| (o.target, o.effort) = (Target::Primitives(500), 2)),
         ("packed layout", photo(), |o| (o.layout, o.effort) = (Layout::Packed, 2)),

@@ -121,7 +121,7 @@ impl Case {
         };
         let is_coded = options.layout == Layout::Coded;
         if is_coded && !matches!(options.target, Target::Primitives(_)) {
-            options.detail = one_of(rng, &[Detail::Auto, Detail::Auto, Detail::Off, Detail::Share(0.2)]);
+            options.detail = one_of(rng, &[Detail::Auto, Detail::Auto, Detail::Off, Detail::GaussianShare(0.2)]);
         }
         if is_coded {
             options.levels = one_of(rng, &[1, 1, 1, 3]);
@@ -350,7 +350,7 @@ fn a_psnr_is_reached_under_soft_alpha() {
 #[test]
 fn the_picture_is_the_same_with_any_amount_of_metadata() {
     let pixels = waves([128, 96], Channels::Rgb, |_, _| 255);
-    for detail in [Detail::Off, Detail::Share(0.3)] {
+    for detail in [Detail::Off, Detail::GaussianShare(0.3)] {
         let encoded = |exif: usize| {
             // Name, length, checksum, and the number of sections. A layer has a section of its own, so that number is
             // there already, and the file may be one byte smaller.

@@ -172,7 +172,7 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
     let mut options = EncodeOptions::default();
     options.target = case.target;
     if has_layer {
-        options.detail = Detail::Share(0.5);
+        options.detail = Detail::GaussianShare(0.5);
         if matches!(case.target, Target::Primitives(_)) {
             options.target = Target::Bytes(400 + samples(&case.pixels).len() as u64 / 10);
         }

@@ -148,7 +148,7 @@ fn gaussians_fitted_at_reduced_size_are_as_good_at_full_size() {
     let pixels = picture(669, 467, Channels::Rgb);
     for tiles in [None, Some(512)] {
         let mut with_layer = options(Target::Ratio(30.0), tiles);
-        (with_layer.tune, with_layer.detail) = (Some(Tune::Psnr), Detail::Share(0.02));
+        (with_layer.tune, with_layer.detail) = (Some(Tune::Psnr), Detail::GaussianShare(0.02));
         let encoded = ssplat::unstable::encode(&pixels, &with_layer).unwrap();
         let mut base = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
         base.detail = None;

@@ -1,8 +1,8 @@
 //! Predicts whole colours: from the colours that followed the same neighbours before, then from the nearest neighbours
 //! (spec §12.5).
 
+use super::neighbours::{Neighbours, Row};
 use super::packed::Packed;
-use super::tile::{Neighbours, Row};
 #[cfg(feature = "encode")]
 use crate::bitstream::detail::decisions::price;
 use crate::bitstream::detail::decisions::{Adaptive, Decisions};

@@ -6,7 +6,7 @@
 //! stands for a table of the picture's colours.
 
 use super::arithmetic::{Counter, Logistic, hash};
-use super::tile::{Neighbours, sample};
+use super::neighbours::{Neighbours, sample};
 use crate::bitstream::coder::range::Coder;
 use crate::bitstream::detail::decisions::Decisions;
 use crate::gaussian::Channels;

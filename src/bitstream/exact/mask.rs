@@ -1,6 +1,6 @@
 //! Codes which cells of a tile the layer covers (spec §12.4).
 
-use super::CELL;
+use super::covered::CELL;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::detail::decisions::{Adaptive, Decisions};
 

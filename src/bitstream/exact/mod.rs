@@ -6,15 +6,18 @@
 
 mod arithmetic;
 mod colors;
+mod covered;
 pub(crate) mod head;
 pub(crate) mod index;
 mod literal;
 mod mask;
 #[cfg(feature = "encode")]
 pub(crate) mod near;
+mod neighbours;
 mod packed;
 pub(crate) mod tile;
 
+pub(crate) use self::covered::{CELL, ExactTile};
 #[cfg(any(test, feature = "unstable"))]
 use self::tile::Shape;
 #[cfg(any(test, feature = "unstable"))]
@@ -24,9 +27,6 @@ use crate::gaussian::Channels;
 use crate::pixels::Pixels;
 use crate::pixels::{Depth, Samples};
 
-/// Side of the cells that are covered or not, pixels.
-pub(crate) const CELL: usize = 8;
-
 /// Exact sample values, tile by tile.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ExactLayer {
@@ -34,39 +34,6 @@ pub struct ExactLayer {
     pub(crate) side: u8,
     /// Row by row; `None` for tiles that the layer does not cover.
     pub(crate) tiles: Vec<Option<ExactTile>>,
-}
-
-/// The samples of a tile.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct ExactTile {
-    /// Row by row, channels interleaved; 0 where the tile is not covered.
-    pub samples: Samples,
-    /// Whether each cell is covered, row by row; `None` if all are.
-    pub cells: Option<Vec<bool>>,
-}
-
-impl ExactTile {
-    /// Returns the pixels from column `x` on that are alike covered or not, up to column `end`: whether they are
-    /// covered, and where they end. `width` is that of the tile.
-    pub(crate) fn run(&self, [x, y]: [usize; 2], end: usize, width: usize) -> (bool, usize) {
-        let Some(cells) = &self.cells else { return (true, end) };
-        let row = &cells[y / CELL * width.div_ceil(CELL)..];
-        let is_covered = row[x / CELL];
-        let mut next = (x / CELL + 1) * CELL;
-        while next < end && row[next / CELL] == is_covered {
-            next += CELL;
-        }
-        (is_covered, next.min(end))
-    }
-
-    /// Returns the bytes of memory that the tile takes.
-    fn memory(&self) -> u64 {
-        let samples = match &self.samples {
-            Samples::U8(v) => v.len(),
-            Samples::U16(v) => 2 * v.len(),
-        };
-        (samples + self.cells.as_ref().map_or(0, Vec::len)) as u64
-    }
 }
 
 impl ExactLayer {

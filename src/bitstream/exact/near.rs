@@ -8,8 +8,9 @@ use std::cmp::Reverse;
 use std::collections::HashMap;
 
 use super::colors::{Around, Candidates, Colors};
-use super::tile::{Shape, Source, State, colors, sample};
-use super::{CELL, ExactTile};
+use super::covered::{CELL, ExactTile};
+use super::neighbours::sample;
+use super::tile::{Shape, Source, State, colors};
 use crate::bitstream::coder::range::{Coder, Cumulative};
 use crate::bitstream::detail::decisions::{Adaptive, Decisions, price, price_of};
 use crate::gaussian::Channels;

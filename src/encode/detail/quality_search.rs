@@ -278,7 +278,7 @@ fn at_prediction(
     let ratio = (samples / predicted.bytes).max(20.0);
     let (pixels, effort) = (picture.state.pixels(), picture.state.settings.allocation);
     let budget_of = |bytes: f64| match options.detail {
-        Detail::Share(share) => bytes * share,
+        Detail::GaussianShare(share) => bytes * share,
         _ => allocation::base_bytes(&effort, pixels, texture, (samples / bytes).max(20.0), bytes),
     };
     let budget = budget_of(predicted.bytes);

@@ -41,7 +41,7 @@ pub(super) fn file(
 ) -> Result<Option<Candidate>> {
     let layer = to_bytes(&exact)?.len() - to_bytes(&PackedSplats { exact: None, ..exact.clone() })?.len();
     let Some(room) = bytes.checked_sub(layer as u64) else { return Ok(None) };
-    let detail = if room >= MIN_LAYER_BYTES { Detail::Share(BASE_SHARE) } else { Detail::Off };
+    let detail = if room >= MIN_LAYER_BYTES { Detail::GaussianShare(BASE_SHARE) } else { Detail::Off };
     let options = EncodeOptions { target: Target::Bytes(room), detail, time: clock.left(), ..options.clone() };
     let Some(splats) = photographs(mask, pixels, &options, report)? else { return Ok(None) };
     let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;
@@ -66,7 +66,7 @@ pub(super) fn reaching(
         Goal::Quality(wanted) => Target::Quality(wanted + ABOVE * (100.0 - wanted)),
     };
     // The tolerances are searched for in the other half of the time.
-    let (time, detail) = (clock.left().map(|left| left / 2), Detail::Share(BASE_SHARE));
+    let (time, detail) = (clock.left().map(|left| left / 2), Detail::GaussianShare(BASE_SHARE));
     let options = EncodeOptions { target, detail, time, alternative: Some(0), ..options.clone() };
     photographs(mask, judge.pixels, &options, report)
 }
