@@ -13,6 +13,7 @@ mod in_steps;
 mod join;
 pub(super) mod parts;
 mod residual;
+mod ringing;
 mod search;
 mod slopes;
 pub(super) mod texture;
