@@ -3,6 +3,17 @@
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
 
+/// When and how the blocks of a tile are chosen again.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ringing {
+    /// Root of the mean squared error, without the mean around a cell, from which a flat cell rings, code values.
+    pub least: f32,
+    /// Factor on the cost of mixed blocks that contain or touch such a cell.
+    pub factor: f32,
+    /// Maximum number of times that the blocks are chosen again.
+    pub rounds: u32,
+}
+
 /// How much blocks cost that contain both flat and other cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct MixedBlocks {
@@ -12,13 +23,21 @@ pub(super) struct MixedBlocks {
     pub estimate: f32,
     /// Factor on their cost by the prices of the entropy coder.
     pub price: f32,
+    /// How the blocks of a tile are chosen again if it rings.
+    pub ringing: Option<Ringing>,
 }
 
 impl MixedBlocks {
     /// They cost as much as others. Only the error counts, wherever it is.
-    pub(super) const PLAIN: MixedBlocks = MixedBlocks { flat_range: ONE_VALUE, estimate: 1.0, price: 1.0 };
+    pub(super) const PLAIN: MixedBlocks =
+        MixedBlocks { flat_range: ONE_VALUE, estimate: 1.0, price: 1.0, ringing: None };
     /// For photographs, whose flat ground has some noise. docs/studies/ringing.md compares these values with others.
-    pub(super) const PHOTOGRAPH: MixedBlocks = MixedBlocks { flat_range: 4.0, estimate: 1.15, price: 1.15 };
+    pub(super) const PHOTOGRAPH: MixedBlocks = MixedBlocks {
+        flat_range: 4.0,
+        estimate: 1.15,
+        price: 1.15,
+        ringing: Some(Ringing { least: 3.0, factor: 2.5, rounds: 2 }),
+    };
     /// For drawings. The estimate contributes 3.7 and 2.2 SSIMULACRA2 points to the gain of a screenshot and a page at a
     /// ratio of 100 from the parameters for drawings. With 1.6 and 2, diagrams lose 0.1 to 0.3 points.
     pub(super) const DRAWING: MixedBlocks = MixedBlocks { estimate: 1.3, ..MixedBlocks::PLAIN };
@@ -32,6 +51,10 @@ const ONE_VALUE: f32 = 0.2;
 /// The flat cells of a tile.
 pub(super) struct Ground {
     flat: Vec<bool>,
+    /// The cells that rang or lie beside such cells; empty if there are none. Mixed blocks with such cells cost more by
+    /// this factor.
+    loud: Vec<bool>,
+    loud_factor: f32,
 }
 
 impl Ground {
@@ -45,7 +68,27 @@ impl Ground {
                 flat[y * CELLS + x] = range(tile, [x, y]) < flat_range;
             }
         }
-        Ground { flat }
+        Ground { flat, loud: Vec::new(), loud_factor: 1.0 }
+    }
+
+    /// Makes mixed blocks that contain cells in `loud` cost `factor` times as much.
+    pub(super) fn make_dear(&mut self, loud: Vec<bool>, factor: f32) {
+        (self.loud, self.loud_factor) = (loud, factor);
+    }
+
+    /// Tells whether a cell is flat.
+    pub(super) fn is_flat(&self, [x, y]: [usize; 2]) -> bool {
+        self.flat[y * CELLS + x]
+    }
+
+    /// Returns the factor on the cost of a block. `usual` is that on the cost of mixed blocks.
+    pub(super) fn factor(&self, kind: usize, [x, y]: [usize; 2], size: usize, usual: f32) -> f32 {
+        if !self.is_mixed(kind, [x, y], size) {
+            return 1.0;
+        }
+        let n = 1 << size;
+        let is_loud = !self.loud.is_empty() && (y..y + n).any(|row| self.loud[row * CELLS + x..][..n].contains(&true));
+        if is_loud { self.loud_factor } else { usual }
     }
 
     /// Returns whether a block of a kind of planes contains both flat and other cells. The transform of such a block spreads the errors of

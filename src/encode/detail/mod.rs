@@ -12,6 +12,7 @@ pub(super) mod quality_search;
 mod quant_matrix;
 mod refine_base;
 mod residual;
+mod ringing;
 mod scaled;
 mod search;
 mod settings;

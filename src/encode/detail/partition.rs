@@ -12,9 +12,8 @@ use crate::bitstream::detail::model::KINDS;
 use crate::bitstream::detail::tile::{ROOT, TileState, kinds};
 
 /// Returns the size of the block that each cell of `tile` lies in, by kind.
-pub(super) fn blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
-    let ground = Ground::of(tile, setting.mixed.flat_range);
-    blocks_among(&AllSizes::new(tile, setting.head), tile, (classes, &ground), setting)
+pub(super) fn blocks(tile: &TileResidual, (classes, ground): (&[u8], &Ground), setting: &Setting) -> [Vec<u8>; KINDS] {
+    blocks_among(&AllSizes::new(tile, setting.head), tile, (classes, ground), setting)
 }
 
 /// Returns the same, given the coefficients of `tile` in blocks of all sizes, its classes and its flat cells.
@@ -74,7 +73,7 @@ impl BlockChooser<'_> {
     fn cost(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
         let [x, y] = cell.map(|c| c / (SUPER / CELL));
         let class = self.classes.get(y * SUPERS + x).copied().unwrap_or(0);
-        let factor = if self.ground.is_mixed(kind, cell, size) { self.setting.mixed.estimate } else { 1.0 };
+        let factor = self.ground.factor(kind, cell, size, self.setting.mixed.estimate);
         let cost =
             |plane: usize| rough_cost(self.all.plane(size, plane), cell, size, self.factors.of(class, plane, size));
         factor * planes(kind).map(cost).sum::<f32>()
@@ -110,9 +109,10 @@ mod tests {
         let head = DetailHead { step: 640, ..DetailHead::PLAIN };
         let (level_search, blocks_by) = (LevelSearch::Thorough, BlockChoice::Rough);
         let setting = Setting { head, channels: Channels::Grey, lambda: 0.1, level_search, blocks: blocks_by, mixed };
+        let ground = Ground::of(&tile, mixed.flat_range);
         let [[estimated, ..], [priced, ..]] = [
-            blocks(&tile, &[], &setting),
-            priced_blocks(&tile, &[], &Setting { blocks: BlockChoice::Priced, ..setting }),
+            blocks(&tile, (&[], &ground), &setting),
+            priced_blocks(&tile, (&[], &ground), &Setting { blocks: BlockChoice::Priced, ..setting }),
         ];
         [estimated, priced]
     }
@@ -148,7 +148,7 @@ mod tests {
         let wave = |x: usize| 2000.0 * (std::f32::consts::PI * (x % 32 * 2 + 1) as f32 * 5.0 / 64.0).cos();
         let luma = |x: usize, y: usize| if x < 48 { (x + y) as f32 % 3.0 } else { (x * 31 + y * 13) as f32 % 90.0 };
         let sizes = |estimate, price| {
-            let mixed = MixedBlocks { flat_range: 4.0, estimate, price };
+            let mixed = MixedBlocks { flat_range: 4.0, estimate, price, ringing: None };
             // Blocks on flat ground, across its edge, and beside it.
             sizes_over(|x, _| wave(x), luma, mixed).map(|sizes| [0, 8, 16].map(|cell| sizes[cell]))
         };

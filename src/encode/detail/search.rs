@@ -2,13 +2,15 @@
 
 use super::adaptive_quantization::{Masking, activities};
 use super::coefficients::{self, Division};
+use super::flat_cells::Ground;
 use super::partition::blocks;
 use super::residual::TileResidual;
+use super::ringing::loud_cells;
 use super::scaled::{CachedCoefficients, KEPT_TILES};
-use super::settings::{BlockChoice, SearchSettings};
+use super::settings::{BlockChoice, SearchSettings, Setting};
 use super::trellis::{Chosen, choose, priced_blocks};
 use crate::bitstream::detail::DetailLayer;
-use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
+use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
 use crate::detail::steps::PlaneSteps;
 use crate::parallel;
@@ -160,10 +162,7 @@ pub(super) fn code(
         let sizes = match sizes {
             Some(sizes) => &sizes[i],
             None => {
-                chosen = match coding.blocks {
-                    BlockChoice::Rough => blocks(&tiles[i], &classes[i], &coding),
-                    BlockChoice::Priced => priced_blocks(&tiles[i], &classes[i], &coding),
-                };
+                chosen = chosen_blocks(&tiles[i], &classes[i], &coding);
                 &chosen
             }
         };
@@ -180,6 +179,31 @@ pub(super) fn code(
         sizes.push(tile.sizes);
     }
     Coded { layer: DetailLayer { head: coding.head, tiles: levels }, bytes, sizes }
+}
+
+/// Chooses the blocks of a tile, and chooses them again where its flat cells ring.
+fn chosen_blocks(tile: &TileResidual, classes: &[u8], coding: &Setting) -> BlockSizes {
+    let mut ground = Ground::of(tile, coding.mixed.flat_range);
+    let blocks = |ground: &Ground| match coding.blocks {
+        BlockChoice::Rough => blocks(tile, (classes, ground), coding),
+        BlockChoice::Priced => priced_blocks(tile, (classes, ground), coding),
+    };
+    let mut sizes = blocks(&ground);
+    let Some(ringing) = coding.mixed.ringing else { return sizes };
+    let mut loud = vec![false; CELLS * CELLS];
+    for _ in 0..ringing.rounds {
+        let Some(levels) = choose(tile, classes, coding, &sizes, None).levels else { break };
+        let found = loud_cells(tile, &ground, (&levels, &coding.head, coding.channels), ringing);
+        // Cells that were quiet in an earlier round may ring in the blocks of the next.
+        let is_new = found.iter().zip(&loud).any(|(found, loud)| *found && !loud);
+        if !is_new {
+            break;
+        }
+        loud.iter_mut().zip(found).for_each(|(loud, found)| *loud |= found);
+        ground.make_dear(loud.clone(), ringing.factor);
+        sizes = blocks(&ground);
+    }
+    sizes
 }
 
 /// The magnitudes of the coefficients of a residual in blocks of 8 and 16, which tell about how many bytes a layer takes.
@@ -280,6 +304,28 @@ mod tests {
         let [with, without] =
             [&kept[..], &[]].map(|kept| code(&tiles, &classes, &settings, 1200, (Some(&first.sizes), kept)));
         assert_eq!((with.bytes, with.layer), (without.bytes, without.layer));
+    }
+
+    #[test]
+    fn blocks_are_chosen_again_where_flat_cells_ring() {
+        let mut settings = search_settings(Tune::Iq, Channels::Rgb, false);
+        settings.coding.head.classes = 1;
+        let usual = settings.coding.mixed.ringing.unwrap();
+        // Ground that the Gaussians draw, beside waves that they do not. The border lies within a block of each size.
+        let pixels = || (0..TILE * TILE).map(|i| [i % TILE, i / TILE]);
+        let waves = |[x, y]: [usize; 2]| 1300.0 * ((x as f32 * 0.9).sin() + (y as f32 * 0.5).cos());
+        let residual = pixels().map(|at| if at[0] < 26 { 0.0 } else { waves(at) }).collect();
+        let luma = pixels().map(|at| if at[0] < 26 { 90.0 } else { 90.0 + waves(at) / 16.0 }).collect();
+        let tile = TileResidual { size: [64, 64], planes: [residual, Vec::new(), Vec::new(), Vec::new()], luma };
+        let ground = Ground::of(&tile, settings.coding.mixed.flat_range);
+        let mut loud = |ringing| {
+            settings.coding.mixed.ringing = ringing;
+            let coded = code(std::slice::from_ref(&tile), &[Vec::new()], &settings, 2600, (None, &[]));
+            let layer = (coded.layer.tiles[0].as_ref().unwrap(), &coded.layer.head, Channels::Rgb);
+            loud_cells(&tile, &ground, layer, usual).iter().filter(|&&loud| loud).count()
+        };
+        let [once, again] = [None, Some(usual)].map(&mut loud);
+        assert!(once > 0 && again < once, "{once} {again}");
     }
 
     #[test]

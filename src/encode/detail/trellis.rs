@@ -125,13 +125,16 @@ struct Tried {
 
 /// Chooses the blocks of a tile by the prices of their levels. The whole tile is lapped once for each block size.
 /// Returns the size of the block that each cell lies in, by kind.
-pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
+pub(super) fn priced_blocks(
+    tile: &TileResidual,
+    (classes, ground): (&[u8], &Ground),
+    setting: &Setting,
+) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, setting.head);
-    let ground = Ground::of(tile, setting.mixed.flat_range);
-    let estimated = blocks_among(&all, tile, (classes, &ground), setting);
+    let estimated = blocks_among(&all, tile, (classes, ground), setting);
     let setting = Setting { level_search: LevelSearch::Quick, ..*setting };
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
-    let source = Source::All { all: &all, estimated: &estimated, ground: &ground };
+    let source = Source::All { all: &all, estimated: &estimated, ground };
     Chooser::new(tile, classes, &setting, source, sizes).run().sizes
 }
 
@@ -292,10 +295,8 @@ impl<'a> Chooser<'a> {
             all.is_quiet &= is_quiet;
             all.is_crowded |= is_crowded;
         }
-        if let Source::All { ground, .. } = self.source
-            && ground.is_mixed(kind, cell, size)
-        {
-            all.cost *= self.setting.mixed.price;
+        if let Source::All { ground, .. } = self.source {
+            all.cost *= ground.factor(kind, cell, size, self.setting.mixed.price);
         }
         all
     }
