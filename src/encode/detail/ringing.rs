@@ -93,7 +93,7 @@ mod tests {
         push(&mut levels, 0, [4, 4], 2, &block);
         levels.sizes = std::array::from_fn(|_| vec![2; CELLS * CELLS]);
         let loud = |rest: f32, is_flat: bool| {
-            let stripes = |i: usize| if i % 2 == 0 { rest } else { -rest };
+            let stripes = |i: usize| if i.is_multiple_of(2) { rest } else { -rest };
             let planes = [(0..TILE * TILE).map(stripes).collect(), Vec::new(), Vec::new(), Vec::new()];
             let luma = (0..TILE * TILE).map(|i| if is_flat { 90.0 } else { (i * 31 % 97) as f32 }).collect();
             let tile = TileResidual { size: [64, 64], planes, luma };
