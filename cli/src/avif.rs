@@ -11,7 +11,7 @@ use mp4parse::{ImageRotation, ParseStrictness, read_avif};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
-use crate::source::beyond_memory;
+use crate::limits::beyond_memory;
 
 /// Maximum number of pixels: up to 32 bytes for each of them are in memory at a time.
 const MAX_PIXELS: u32 = 1 << 27;

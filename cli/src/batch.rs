@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use crate::args::{Existing, Many};
 use crate::failure::{Failure, Kind};
 use crate::inputs::{self, Found, Rules, Task};
-use crate::progress::Bar;
+use crate::progress::{Bar, OutputMode};
 use crate::sink::{say, tell};
 use crate::{carried, guard, sink};
 
@@ -59,24 +59,6 @@ pub struct Command<'a> {
     pub pixels: &'a (dyn Fn(&Path) -> u64 + Sync),
     /// Processes one file and reports progress.
     pub run: &'a Work<'a>,
-}
-
-/// Kind of output that is printed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum OutputMode {
-    Text,
-    Json,
-    Quiet,
-}
-
-impl OutputMode {
-    pub fn new(json: bool, quiet: bool) -> OutputMode {
-        match (json, quiet) {
-            (true, _) => OutputMode::Json,
-            (_, true) => OutputMode::Quiet,
-            _ => OutputMode::Text,
-        }
-    }
 }
 
 /// Processes all inputs. A failure is reported and does not stop the other files.

@@ -9,19 +9,19 @@ use serde_json::json;
 use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::unstable::colour;
 use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Rect, Samples, SplatImage};
 use ssplat::{Renderer, SamplesMut, View};
 
-use crate::batch::{self, Command, Done, Fate, OutputMode, Report, Show};
+use crate::batch::{self, Command, Done, Fate, Report, Show};
 use crate::failure::Failure;
 use crate::inputs::Task;
 use crate::kept_times::KeptTimes;
-use crate::progress::Bar;
+use crate::progress::{Bar, OutputMode};
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{self, Sink, say, tell};
 use crate::source::{self, Source};
-use crate::{args, encode, input};
+use crate::written::{misfit, write_pixels};
+use crate::{args, input};
 
 /// Bytes of output that are rendered before they are written, unless two bands take more; and the same per thread,
 /// because small buffers are reused instead of allocated again.
@@ -124,7 +124,7 @@ fn one(args: &args::Decode, task: &Task, format: Format, (show, report): (&Show,
         let source = shown(pixels, own(opened.into_metadata()), background, orientation).map_err(failed)?;
         shape = (source.pixels.width(), source.pixels.height());
         sink = args.many.sink(output, &[input])?;
-        encode::write_pixels(source, format, &sink, &sink::named(output))?;
+        write_pixels(source, format, &sink, &sink::named(output))?;
     } else {
         let renderer = opened.renderer(&view).map_err(failed)?;
         let metadata = own(opened.into_metadata());
@@ -177,7 +177,7 @@ fn thumbnail(
     let source = shown(pixels, metadata, background, orientation).map_err(failed)?;
     let (width, height) = (source.pixels.width(), source.pixels.height());
     let sink = args.many.sink(output, &[input])?;
-    encode::write_pixels(source, format, &sink, &sink::named(output))?;
+    write_pixels(source, format, &sink, &sink::named(output))?;
     let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "primitives": 0 }));
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": "CPU" });
     let done = Done { text: String::new(), result, notes, fate: Fate::Written };
@@ -193,15 +193,6 @@ fn channels_over(channels: Channels, background: Option<[u8; 3]>) -> Channels {
         Some(_) => Channels::Rgb,
         None => channels,
     }
-}
-
-/// Returns a note about a profile that does not fit the samples of the output.
-pub fn misfit(metadata: &Metadata, format: Format, channels: Channels) -> Option<String> {
-    if !format.has_profile() {
-        return None;
-    }
-    let why = metadata.icc.as_ref().and_then(|icc| colour::misfit(icc, format.is_grey(channels)))?;
-    Some(format!("the ICC profile {why}, and is left out"))
 }
 
 /// Returns the orientation to apply, if any.

@@ -8,25 +8,24 @@ use std::time::{Duration, Instant};
 
 use image::ImageFormat;
 use serde_json::{Value, json};
-use ssplat::SamplesMut;
 use ssplat::report::{SkipReason, StageTime};
 use ssplat::unstable::EncodeOptions;
-use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::unstable::colour::Profiles;
-use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, MetadataPolicy, PixelSource, Pixels, Samples, Target};
+use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, MetadataPolicy, PixelSource, Pixels, Target};
 
-use crate::batch::{self, Command, Done, Fate, OutputMode, Report, Show};
+use crate::batch::{self, Command, Done, Fate, Report, Show};
 use crate::failure::Failure;
 use crate::input::{self, Input};
 use crate::inputs::Task;
 use crate::kept_times::KeptTimes;
-use crate::progress::{Bar, Stages};
-use crate::rows::{Format, RowWriter, Shape};
+use crate::progress::{Bar, OutputMode, Stages};
+use crate::rows::Format;
 use crate::sink::{Identity, Sink, aside, printable, say, tell};
 use crate::sniff::sniff;
 use crate::source::{self, Reading, Source, Turn};
 use crate::spool::{self, Opened, Spooled};
-use crate::{args, carried, compare, decode, drawing, left_out, perceived, resize};
+use crate::written::write_pixels;
+use crate::{args, carried, compare, drawing, left_out, limits, perceived, resize};
 
 /// Extensions of other picture formats that `image` does not know.
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
@@ -257,8 +256,8 @@ fn load(
                 let source = picture.resized(path, size, args.options().hidden)?;
                 return Ok(Loaded::Whole(if args.auto_orient { source.upright(path)? } else { source }));
             }
-            Opened::InParts(picture) if picture.width().max(picture.height()) > source::MAX_SIDE => {
-                return Err(source::too_long(path, picture.size()));
+            Opened::InParts(picture) if picture.width().max(picture.height()) > limits::MAX_SIDE => {
+                return Err(limits::too_long(path, picture.size()));
             }
             Opened::InParts(picture) => return Ok(Loaded::InParts(picture)),
             Opened::AsWhole(input) => opened = input,
@@ -442,26 +441,6 @@ impl<'a> Preview<'a> {
         notes.extend(write_pixels(decoded, self.format, &self.sink, self.path)?);
         Ok((found, seconds))
     }
-}
-
-/// Writes a picture that is in memory. Returns a note if its profile does not fit the format.
-pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<Option<String>, Failure> {
-    let Source { pixels, cicp, icc, exif, .. } = source;
-    format.check(path, pixels.size(), pixels.channels())?;
-    let shape =
-        Shape { width: pixels.width(), height: pixels.height(), channels: pixels.channels(), depth: pixels.depth() };
-    let mut metadata = Metadata::default();
-    (metadata.cicp, metadata.icc, metadata.exif) = (cicp, icc, exif);
-    let note = decode::misfit(&metadata, format, pixels.channels());
-    metadata.icc = metadata.icc.filter(|_| note.is_none());
-    let io = |e| Failure::io(path, &e);
-    let mut rows = RowWriter::new(sink, format, shape, &metadata).map_err(io)?;
-    match &mut pixels.into_samples() {
-        Samples::U8(samples) => rows.write(SamplesMut::U8(samples)).map_err(io)?,
-        Samples::U16(samples) => rows.write(SamplesMut::U16(samples)).map_err(io)?,
-    }
-    rows.finish(path)?;
-    Ok(note)
 }
 
 /// Returns the result as JSON.

@@ -20,6 +20,7 @@ use ssplat::{Channels, Depth, Pixels, Samples};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
+use crate::limits;
 use crate::source::{self, Reading, Source};
 
 /// Largest EXIF block in bytes, decompressed. A compressed block may expand without bound.
@@ -56,8 +57,8 @@ pub fn read(path: &Path, input: &mut Input, reading: &Reading) -> Result<Source,
     let mut image = image.map_err(failed)?.ok_or_else(|| broken(path, "ends before its picture begins"))?;
     drop(codestream);
     let (area, channels) = (u64::from(image.width()) * u64::from(image.height()), all_channels(&image));
-    if image.width().max(image.height()) > source::MAX_SIDE {
-        return Err(source::too_long(path, [image.width(), image.height()]));
+    if image.width().max(image.height()) > limits::MAX_SIDE {
+        return Err(limits::too_long(path, [image.width(), image.height()]));
     }
     if area.checked_mul(channels * BYTES_PER_SAMPLE).is_none_or(|bytes| bytes > room) {
         return Err(too_large(path));
@@ -387,7 +388,7 @@ fn broken(path: &Path, problem: &str) -> Failure {
 }
 
 fn too_large(path: &Path) -> Failure {
-    Failure { kind: Kind::Limit, message: source::beyond_memory(path) }
+    Failure { kind: Kind::Limit, message: limits::beyond_memory(path) }
 }
 
 /// The parts of a file that are used: the codestream, joined, and metadata.

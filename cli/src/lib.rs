@@ -26,6 +26,7 @@ mod jpeg_end;
 mod jxl;
 mod kept_times;
 mod left_out;
+mod limits;
 mod manual;
 pub mod names;
 pub mod perceived;
@@ -39,6 +40,7 @@ pub mod source;
 mod spool;
 mod tiff;
 mod view;
+mod written;
 
 use std::process::ExitCode;
 

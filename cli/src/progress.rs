@@ -6,7 +6,23 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::batch::OutputMode;
+/// Kind of output that is printed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OutputMode {
+    Text,
+    Json,
+    Quiet,
+}
+
+impl OutputMode {
+    pub fn new(json: bool, quiet: bool) -> OutputMode {
+        match (json, quiet) {
+            (true, _) => OutputMode::Json,
+            (_, true) => OutputMode::Quiet,
+            _ => OutputMode::Text,
+        }
+    }
+}
 
 /// Steps of the bar.
 const STEPS: u64 = 1000;

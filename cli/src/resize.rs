@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::guard;
-use crate::source::MAX_SIDE;
+use crate::limits::MAX_SIDE;
 
 /// The filter, and its radius in pixels of the output.
 const FILTER: FilterType = FilterType::Lanczos3;

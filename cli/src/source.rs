@@ -13,11 +13,9 @@ use ssplat::{Channels, Cicp, HiddenColors, Limits, Metadata, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::input::{self, Input};
+use crate::limits::{MAX_SIDE, beyond_memory, too_long};
 use crate::sniff::{Sniffed, refusal_of_others, sniff};
 use crate::{completeness, exif_text, floats, guard, jpeg_end, resize, tiff};
-
-/// Longest side of a picture in pixels.
-pub const MAX_SIDE: u32 = 1 << 20;
 
 /// Whether pixels are rotated as the EXIF block says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -118,25 +116,10 @@ pub fn read(path: &Path, mut input: Input, reading: &Reading) -> Result<Source, 
     guard::quietly(|| read_foreign(path, input, reading)).unwrap_or_else(|panic| Err(panicked(path, &panic)))
 }
 
-/// Returns the message for a picture that exceeds the memory limit.
-pub fn beyond_memory(path: &Path) -> String {
-    let path = Failure::input(path);
-    format!("{path}: needs more memory than is available, or than the {MAX_ALLOC} bytes that are allowed")
-}
-
 /// Returns the failure for a file on which its decoder panicked.
 pub fn panicked(path: &Path, panic: &str) -> Failure {
     let message = format!("{}: its decoder failed unexpectedly: {panic}", Failure::input(path));
     Failure { kind: Kind::Format, message }
-}
-
-/// Returns the failure for a picture with a side beyond the format's limit.
-pub fn too_long(path: &Path, [width, height]: [u32; 2]) -> Failure {
-    let path = Failure::input(path);
-    let message = format!(
-        "{path}: has {width} × {height} pixels; a side has {MAX_SIDE} at most; --max-side {MAX_SIDE} downscales"
-    );
-    Failure { kind: Kind::Limit, message }
 }
 
 /// Decodes a picture of another format than ssplat.

@@ -14,7 +14,7 @@ use tiff::{TiffError, TiffResult};
 
 use crate::failure::{Failure, Kind};
 use crate::floats::Range;
-use crate::source;
+use crate::limits;
 
 /// A picture in memory.
 pub struct Found {
@@ -100,7 +100,7 @@ fn found(path: &Path, input: &mut (impl BufRead + Seek)) -> Result<Option<Found>
     let pixels = u64::from(directory.width) * u64::from(directory.height);
     let bytes = u64::from(directory.bits.div_ceil(8).max(2)) + 4;
     if pixels.checked_mul(u64::from(directory.stored) * bytes).is_none_or(|bytes| bytes > MAX_ALLOC) {
-        return Err(Failure { kind: Kind::Limit, message: source::beyond_memory(path) });
+        return Err(Failure { kind: Kind::Limit, message: limits::beyond_memory(path) });
     }
     // The decoder takes the numbers of colours for grey.
     let hidden = if colors == Colors::Palette { photometric(&mut *input).map_err(io)? } else { Vec::new() };
@@ -366,7 +366,7 @@ fn failure(path: &Path, error: TiffError) -> Failure {
         TiffError::UnsupportedError(what) => return unsupported(path, &format!("is not supported ({what})")),
         TiffError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Kind::Io,
         TiffError::LimitsExceeded => {
-            return Failure { kind: Kind::Limit, message: source::beyond_memory(path) };
+            return Failure { kind: Kind::Limit, message: limits::beyond_memory(path) };
         }
         _ => Kind::Format,
     };

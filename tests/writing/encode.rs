@@ -542,3 +542,19 @@ fn without_a_target_the_quality_is_70() {
     assert_eq!(encode(&pixels, &options).unwrap().bytes, asked);
     assert_eq!(EncodeOptions::default().target, Target::Auto);
 }
+
+#[test]
+fn a_regular_texture_has_a_layer_in_a_small_file() {
+    // A weave of single pixels, whose contrast changes slowly.
+    let weave = |i: u32| {
+        let (x, y) = (i % 128, i / 128);
+        let contrast = 40 + (x + y) / 8;
+        (if (x + y).is_multiple_of(2) { 128 + contrast } else { 128 - contrast }) as u8
+    };
+    let samples: Vec<u8> = (0..128 * 128).map(weave).collect();
+    let pixels = Pixels::new(128, 128, Channels::Grey, samples).unwrap();
+    let options = EncodeOptions { target: Target::Bytes(500), effort: 1, ..EncodeOptions::default() };
+    let psnr = |detail| encode(&pixels, &EncodeOptions { detail, ..options.clone() }).unwrap().report.psnr;
+    let [auto, off] = [Detail::Auto, Detail::Off].map(psnr);
+    assert!(auto > off + 10.0, "{auto} dB instead of {off} dB");
+}
