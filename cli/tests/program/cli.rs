@@ -184,7 +184,7 @@ fn encode_and_info_report_what_was_left_out() {
     let text = succeeds(ssplat(&[&"encode", &picture, &file, &"--bytes", &"300", &"--effort", &"1", &"--explain"]));
     assert!(text.contains("colour and alpha: all pixels are grey and opaque"), "{text}");
     assert!(text.contains("the GPU: the picture has fewer than 262144 pixels\n"), "{text}");
-    assert!(text.contains("sections: no ICC profile, EXIF block or thumbnail"), "{text}");
+    assert!(text.contains("sections: no code points, ICC profile, EXIF block or thumbnail"), "{text}");
     assert!(fs::metadata(&file).unwrap().len() <= 300);
     let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
     let left_out = info["left_out"].as_array().unwrap();

@@ -90,6 +90,7 @@ mod tests {
         // Waves in a block of 16 pixels at the cell [4, 4].
         let (mut levels, mut block) = (TileLevels::default(), Block::default());
         block.levels[at(5, 0)] = 3;
+        block.found.push(at(5, 0) as u16);
         push(&mut levels, 0, [4, 4], 2, &block);
         levels.sizes = std::array::from_fn(|_| vec![2; CELLS * CELLS]);
         let loud = |rest: f32, is_flat: bool| {
