@@ -244,7 +244,8 @@ pub(super) fn is_search(target: Target) -> bool {
     }
 }
 
-/// Returns the byte budget of the Gaussians in a file of `all` bytes. `texture` is known only with perceptual tuning.
+/// Returns the byte budget of the Gaussians in a file of `all` bytes. `texture` is that on which
+/// the [allocation depends](texture).
 pub(super) fn base_bytes(
     settings: &AllocationSettings,
     pixels: u64,
@@ -273,8 +274,8 @@ pub(super) fn max_sharpness(settings: &AllocationSettings, ratio: f64) -> f64 {
     settings.max_sharpness * (ratio / 20.0).strict_powf(SHARP_POWER)
 }
 
-/// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is known only with
-/// perceptual tuning.
+/// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is that on which the
+/// [allocation depends](texture).
 fn largest_ratio(settings: &AllocationSettings, pixels: u64, texture: Option<Texture>) -> f64 {
     let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
@@ -354,13 +355,13 @@ fn may_have_layer(options: &EncodeOptions) -> bool {
     options.layout == Layout::Coded && options.recipe == Recipe::Ssplat
 }
 
-/// Returns the texture of a picture if the allocation depends on it.
+/// Returns the texture of a picture if the allocation depends on it: with perceptual tuning, and if it is regular.
 pub(super) fn texture(options: &EncodeOptions, measured: impl FnOnce() -> Option<Texture>) -> Option<Texture> {
-    if options.favoured() == Tune::Iq { measured() } else { None }
+    measured().filter(|texture| options.favoured() == Tune::Iq || texture.is_regular())
 }
 
 /// Returns whether a file of `shared` bytes, without header and metadata, has a layer. `texture` measures the texture
-/// of a picture that is fitted as a whole. It is called only if the tuning is perceptual.
+/// of a picture that is fitted as a whole.
 pub(super) fn has_layer(
     options: &EncodeOptions,
     pixels: u64,
