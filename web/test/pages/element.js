@@ -62,7 +62,7 @@ export async function test() {
   const damaged = add({ src: "/spec/vectors/invalid/detail-check/file.ssplat" })
   check((await event(damaged, ["load", "error"])).type == "error" && seen(damaged) && !damaged.naturalWidth, "a broken file shows nothing")
   const broken = add({ src: "/web/README.md" }), { error } = await event(broken, ["load", "error"])
-  check(/not an ssplat file: it begins with 23 20 73 73$/.test(error?.message), error?.message)
+  check(/not a valid ssplat file: bad magic \[23, 20, 73, 73\]$/.test(error?.message), error?.message)
 
   // A placeholder is shown at once, as base64 and as data URI; broken ones are ignored.
   const inline = await base64(vector("coded-rgb"))
