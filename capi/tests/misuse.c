@@ -243,7 +243,7 @@ static void metadata(ssplat_decoder *decoder)
     char byte = 'x';
     CHECK(ssplat_decoder_info(decoder, NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_metadata(decoder, SSPLAT_METADATA_ICC, NULL, 0, NULL) == SSPLAT_STATUS_PARAMETER);
-    CHECK(ssplat_decoder_metadata(decoder, 3, NULL, 0, &length) == SSPLAT_STATUS_PARAMETER && length == 99);
+    CHECK(ssplat_decoder_metadata(decoder, 4, NULL, 0, &length) == SSPLAT_STATUS_PARAMETER && length == 99);
     CHECK(ssplat_decoder_metadata(decoder, SSPLAT_METADATA_ICC, NULL, 0, &length) == SSPLAT_STATUS_OK && length > 1);
     CHECK(ssplat_decoder_metadata(decoder, SSPLAT_METADATA_ICC, NULL, length, &length) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_metadata(decoder, SSPLAT_METADATA_ICC, &byte, 1, &length) == SSPLAT_STATUS_BUFFER && byte == 'x');
