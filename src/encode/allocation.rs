@@ -245,7 +245,7 @@ pub(super) fn is_search(target: Target) -> bool {
 }
 
 /// Returns the byte budget of the Gaussians in a file of `all` bytes. `texture` is that on which
-/// the [allocation depends](texture).
+/// the allocation depends (`fn texture`).
 pub(super) fn base_bytes(
     settings: &AllocationSettings,
     pixels: u64,
@@ -275,7 +275,7 @@ pub(super) fn max_sharpness(settings: &AllocationSettings, ratio: f64) -> f64 {
 }
 
 /// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is that on which the
-/// [allocation depends](texture).
+/// allocation depends (`fn texture`).
 fn largest_ratio(settings: &AllocationSettings, pixels: u64, texture: Option<Texture>) -> f64 {
     let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
