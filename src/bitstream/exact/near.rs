@@ -343,7 +343,9 @@ mod tests {
         }
         let samples = match depth {
             Depth::Eight => Samples::U8(samples),
-            Depth::Sixteen => Samples::U16(samples.into_iter().map(|v| (u16::from(v) * 257).saturating_add(3)).collect()),
+            Depth::Sixteen => {
+                Samples::U16(samples.into_iter().map(|v| (u16::from(v) * 257).saturating_add(3)).collect())
+            }
         };
         ExactTile { samples, cells: None }
     }
