@@ -146,7 +146,7 @@ impl Division {
 
     /// Returns the ratio of the file, at least 20.
     pub(super) fn ratio(&self, samples: f64) -> f64 {
-        (samples / self.shared as f64).max(20.0)
+        ratio_of(samples, self.shared as f64)
     }
 
     /// Requests Gaussians of `bytes` bytes, without header and metadata, as the base of the layer. The fit continues
@@ -202,18 +202,11 @@ pub(super) fn allocate(prepared: &Prepared<'_>, size: Size, time: Option<Duratio
         return Ok(alone);
     }
     let texture = texture(options, || prepared.measured_texture());
-    let base_budget = match options.detail {
-        Detail::GaussianShare(share) => all * share,
-        _ => {
-            let suited = base_bytes(&state.settings.allocation, pixels, texture, (samples / all).max(20.0), all);
-            (state.base_factor.unwrap_or(1.0) * suited).min(MAX_TRIED_SHARE * all)
-        }
-    };
     let limit = state.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
     Ok(Allocation::Shared(Division {
         fixed,
         shared,
-        base_budget,
+        base_budget: base_budget(state, texture, all),
         texture,
         rounds: rounds(state, shared),
         // A search runs several fits, so it does not extend them for large files.
@@ -244,15 +237,27 @@ pub(super) fn is_search(target: Target) -> bool {
     }
 }
 
-/// Returns the byte budget of the Gaussians in a file of `all` bytes. `texture` is that on which
-/// the allocation depends (`fn texture`).
-pub(super) fn base_bytes(
-    settings: &AllocationSettings,
-    pixels: u64,
-    texture: Option<Texture>,
-    ratio: f64,
-    all: f64,
-) -> f64 {
+/// Returns the ratio of a file of `bytes` bytes, at least 20.
+pub(super) fn ratio_of(samples: f64, bytes: f64) -> f64 {
+    (samples / bytes).max(20.0)
+}
+
+/// Returns the byte budget of the Gaussians in a file of `all` bytes, by the options or by [`base_bytes`] and what a search
+/// has found. `texture` is that on which the allocation depends (`fn texture`).
+pub(super) fn base_budget(state: &EncodeState<'_>, texture: Option<Texture>, all: f64) -> f64 {
+    match state.options.detail {
+        Detail::GaussianShare(share) => all * share,
+        _ => {
+            let ratio = ratio_of(state.samples(), all);
+            let suited = base_bytes(&state.settings.allocation, state.pixels(), texture, ratio, all);
+            (state.base_factor.unwrap_or(1.0) * suited).min(MAX_TRIED_SHARE * all)
+        }
+    }
+}
+
+/// Returns the byte budget of the Gaussians that suits a file of `all` bytes. `texture` is that on which the allocation
+/// depends (`fn texture`).
+fn base_bytes(settings: &AllocationSettings, pixels: u64, texture: Option<Texture>, ratio: f64, all: f64) -> f64 {
     if texture.is_some_and(Texture::is_regular) {
         return REGULAR_SHARE * all;
     }

@@ -40,7 +40,8 @@ pub(super) fn encode(
     let side = tile_side(source, options);
     let texture = || if side.is_none() { source.as_pixels().and_then(Texture::of_pixels) } else { None };
     let effort = timed_effort::affordable(source.size(), source.channels(), options, texture, machine_speed::slowness);
-    let options = &EncodeOptions { effort, ..options.clone() };
+    let lower = (effort < options.effort).then(|| EncodeOptions { effort, ..options.clone() });
+    let options = lower.as_ref().unwrap_or(options);
     let whole = |pixels: &Pixels, progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>| {
         let work =
             |ask: &mut dyn FnMut(Progress) -> ControlFlow<()>| encode_whole(pixels, options, 1.0, &mut |now| ask(*now));
@@ -111,8 +112,7 @@ fn layers(prepared: &mut Prepared<'_>, base: Outcome, is_new: bool, division: &D
             if is_new {
                 keep(prepared.state_mut(), &base, division.base_budget);
             }
-            let source = prepared.fitted_source();
-            layered_in_parts(prepared.state_mut(), source, base, division.max_bytes())
+            layered_in_parts(prepared, base, division.max_bytes())
         }
     }
 }

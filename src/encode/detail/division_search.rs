@@ -49,7 +49,7 @@ pub(in crate::encode) fn layered(
 ) -> Result<Outcome> {
     let (most, base_budget) = (division.max_bytes(), division.base_budget);
     let may_divide = picture.state.options.detail == Detail::Auto;
-    let mut layered = timed_layer(picture, base, most)?;
+    let mut layered = layer(picture, base, most)?;
     if may_divide && is_new {
         layered = with_larger_base(picture, layered, division)?;
     }
@@ -90,7 +90,7 @@ fn with_larger_base(picture: &mut WholePicture<'_>, mut layered: Layered, divisi
     for bytes in [(few * most_for_base).sqrt(), most_for_base] {
         let initial = primitives_of(&layered.base.splats);
         let base = base(picture, bytes as u64, division, initial)?;
-        let mut other = timed_layer(picture, base, division.max_bytes())?;
+        let mut other = layer(picture, base, division.max_bytes())?;
         let errors = [error_of_layered(picture, &mut layered), error_of_layered(picture, &mut other)];
         let gain = 10.0 * (errors[0] / errors[1]).strict_log10();
         if gain > 0.0 {
@@ -115,14 +115,6 @@ pub(super) fn base(
     gaussians::of_whole(picture, &request)
 }
 
-/// Codes a layer over `base` in a file of `most` bytes, and records the time.
-fn timed_layer(picture: &mut WholePicture<'_>, base: Outcome, most: u64) -> Result<Layered> {
-    let clock = picture.state.report.seconds();
-    let layered = layer(picture, base, most)?;
-    picture.state.report.stage("detail", clock);
-    Ok(layered)
-}
-
 /// Encodes with more and with fewer bytes for the Gaussians than the base of `first`, whose budget is `few` bytes, as
 /// long as MS-SSIM increases. Returns the best result and the budget of its base.
 pub(super) fn best_division(
@@ -144,7 +136,7 @@ pub(super) fn best_division(
             }
             bytes = next;
             let base = base(picture, bytes as u64, division, Vec::new())?;
-            let other = timed_layer(picture, base, division.max_bytes())?;
+            let other = layer(picture, base, division.max_bytes())?;
             match ms_ssim_loss(picture, &other)? {
                 Some(found) if found < MIN_IMPROVEMENT * dissimilarity => {
                     (best, dissimilarity, is_better) = ((other, bytes), found, true);

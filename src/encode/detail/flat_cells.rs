@@ -51,10 +51,10 @@ const ONE_VALUE: f32 = 0.2;
 /// The flat cells of a tile.
 pub(super) struct Ground {
     flat: Vec<bool>,
-    /// The cells that rang or lie beside such cells; empty if there are none. Mixed blocks with such cells cost more by
-    /// this factor.
-    loud: Vec<bool>,
-    loud_factor: f32,
+    /// The cells that ring or lie beside such cells; empty if there are none.
+    ringing: Vec<bool>,
+    /// Factor on the cost of mixed blocks with such cells.
+    ringing_factor: f32,
 }
 
 impl Ground {
@@ -68,15 +68,20 @@ impl Ground {
                 flat[y * CELLS + x] = range(tile, [x, y]) < flat_range;
             }
         }
-        Ground { flat, loud: Vec::new(), loud_factor: 1.0 }
+        Ground { flat, ringing: Vec::new(), ringing_factor: 1.0 }
     }
 
-    /// Makes mixed blocks that contain cells in `loud` cost `factor` times as much.
-    pub(super) fn make_dear(&mut self, loud: Vec<bool>, factor: f32) {
-        (self.loud, self.loud_factor) = (loud, factor);
+    /// Makes mixed blocks that contain any of these cells, or of those that were added before, cost `factor` times as
+    /// much. Returns whether there are new cells among them.
+    pub(super) fn add_ringing(&mut self, cells: &[bool], factor: f32) -> bool {
+        self.ringing.resize(cells.len(), false);
+        let is_new = cells.iter().zip(&self.ringing).any(|(&found, &known)| found && !known);
+        self.ringing.iter_mut().zip(cells).for_each(|(known, &found)| *known |= found);
+        self.ringing_factor = factor;
+        is_new
     }
 
-    /// Tells whether a cell is flat.
+    /// Returns whether a cell is flat.
     pub(super) fn is_flat(&self, [x, y]: [usize; 2]) -> bool {
         self.flat[y * CELLS + x]
     }
@@ -87,12 +92,12 @@ impl Ground {
             return 1.0;
         }
         let n = 1 << size;
-        let is_loud = !self.loud.is_empty() && (y..y + n).any(|row| self.loud[row * CELLS + x..][..n].contains(&true));
-        if is_loud { self.loud_factor } else { usual }
+        let rings = |row: usize| self.ringing[row * CELLS + x..][..n].contains(&true);
+        if !self.ringing.is_empty() && (y..y + n).any(rings) { self.ringing_factor } else { usual }
     }
 
-    /// Returns whether a block of a kind of planes contains both flat and other cells. The transform of such a block spreads the errors of
-    /// the other cells over the flat ones.
+    /// Returns whether a block of a kind of planes contains both flat and other cells. The transform of such a block
+    /// spreads the errors of the other cells over the flat ones.
     pub(super) fn is_mixed(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> bool {
         // Flat regions are those of luma. Alpha has its own edges.
         if kind == ALPHA {

@@ -23,7 +23,7 @@ use std::time::Duration;
 
 use super::input::stored_scene;
 use super::prepared::Prepared;
-use super::state::{EncodeState, Outcome};
+use super::state::Outcome;
 use super::stored_error;
 use super::whole::WholePicture;
 use crate::bitstream::detail::DetailLayer;
@@ -35,7 +35,6 @@ use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
 use crate::options::Tune;
-use crate::pixel_source::PixelSource;
 use crate::rdo::rounded::projected;
 use crate::strict_math::StrictMath;
 use parts::Parts;
@@ -66,10 +65,11 @@ pub(super) struct Layered {
     error: Option<f64>,
 }
 
-/// Codes a layer over `base`, for a file of at most `max_bytes` bytes.
-fn layer(picture: &WholePicture<'_>, base: Outcome, max_bytes: u64) -> Result<Layered> {
-    let splats = &base.splats;
-    let coded = code_layer(picture, splats, max_bytes, None)?;
+/// Codes a layer over `base`, for a file of at most `max_bytes` bytes, and records the time.
+fn layer(picture: &mut WholePicture<'_>, base: Outcome, max_bytes: u64) -> Result<Layered> {
+    let clock = picture.state.report.seconds();
+    let coded = code_layer(picture, &base.splats, max_bytes, None)?;
+    picture.state.report.stage("detail", clock);
     Ok(Layered { base, coded, error: None })
 }
 
@@ -100,14 +100,7 @@ fn joined(
         if until.is_some_and(|end| start + took > end) {
             break;
         }
-        let Preset { lambda, .. } = preset(picture.state.options.favoured());
-        let mut splats = outcome.splats.clone();
-        let step = f32::from(coded.layer.head.step) / 64.0 / 255.0;
-        // An error of luma is an equal error in each of the colours.
-        let colors = if picture.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
-        let price = colors * lambda * step * step;
-        let layer = (&coded.layer, picture.state.channels);
-        refine_base::descend(&mut splats, &picture.planes, layer, price, picture.state.options.levels)?;
+        let splats = refined(picture, &outcome.splats, &coded.layer)?;
         let Some(next) = code_layer(picture, &splats, max_bytes, Some(&coded))? else { break };
         let next_error = layered_error(picture, &splats, &next.layer);
         if next_error >= error {
@@ -119,6 +112,19 @@ fn joined(
     outcome.splats.detail = Some(Arc::new(coded.layer));
     outcome.bytes = picture.state.file(&outcome.splats)?;
     Ok(outcome)
+}
+
+/// Fits the integers of the Gaussians of `splats` to `layer`.
+fn refined(picture: &WholePicture<'_>, splats: &PackedSplats, layer: &DetailLayer) -> Result<PackedSplats> {
+    let Preset { lambda, .. } = preset(picture.state.options.favoured());
+    let step = f32::from(layer.head.step) / 64.0 / 255.0;
+    // An error of luma is an equal error in each of the colours.
+    let colors = if picture.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
+    let price = colors * lambda * step * step;
+    let mut refined = splats.clone();
+    let layer = (layer, picture.state.channels);
+    refine_base::descend(&mut refined, &picture.planes, layer, price, picture.state.options.levels)?;
+    Ok(refined)
 }
 
 /// Returns the bytes and the unweighted error of two layers in the blocks of `coded`. The first has about `bytes`
@@ -228,26 +234,18 @@ fn code_layer(
 pub(super) fn over_one_color(prepared: &mut Prepared<'_>, base: Outcome, max_bytes: u64) -> Result<Outcome> {
     match prepared {
         Prepared::Whole(picture) if picture.state.pixels() <= LARGEST => {
-            let clock = picture.state.report.seconds();
             let layered = layer(picture, base, max_bytes)?;
-            picture.state.report.stage("detail", clock);
             joined(picture, layered, max_bytes, 0, None)
         }
-        _ => {
-            let source = prepared.fitted_source();
-            layered_in_parts(prepared.state_mut(), source, base, max_bytes)
-        }
+        _ => layered_in_parts(prepared, base, max_bytes),
     }
 }
 
-/// Codes a layer over `base` in a file of `max_bytes` bytes, one part of `source` at a time, and writes the file.
-/// It is for pictures whose residual is too large for memory. `source` has the fitted channels.
-pub(super) fn layered_in_parts(
-    state: &mut EncodeState<'_>,
-    source: &dyn PixelSource,
-    mut base: Outcome,
-    max_bytes: u64,
-) -> Result<Outcome> {
+/// Codes a layer over `base` in a file of `max_bytes` bytes, one part of the picture at a time, and writes the file.
+/// It is for pictures whose residual is too large for memory.
+pub(super) fn layered_in_parts(prepared: &mut Prepared<'_>, mut base: Outcome, max_bytes: u64) -> Result<Outcome> {
+    let source = prepared.fitted_source();
+    let state = prepared.state_mut();
     let clock = state.report.seconds();
     let (channels, tune, hidden) = (state.channels, state.options.favoured(), state.options.hidden);
     let parts = Parts { source, splats: &base.splats, channels, tune, hidden };

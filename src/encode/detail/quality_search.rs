@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::division_search::{base, best_division};
 use super::search::{Coded, Coder, Magnitudes};
-use super::settings::{Preset, SearchSettings, for_drawing, preset, search_settings};
-use super::{LARGEST, Layered, is_coded_as_drawing, refine_base, residual, residuals, settings_of_layer};
+use super::settings::{SearchSettings, for_drawing, search_settings};
+use super::{LARGEST, Layered, is_coded_as_drawing, refined, residual, residuals, settings_of_layer};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::allocation::{self, Division};
@@ -275,13 +275,7 @@ fn at_prediction(
     let texture = allocation::texture(options, || picture.measured_texture());
     let rounds = allocation::rounds(&picture.state, shared);
     let fit_ratio = Some(samples / predicted.bytes);
-    let ratio = (samples / predicted.bytes).max(20.0);
-    let (pixels, effort) = (picture.state.pixels(), picture.state.settings.allocation);
-    let budget_of = |bytes: f64| match options.detail {
-        Detail::GaussianShare(share) => bytes * share,
-        _ => allocation::base_bytes(&effort, pixels, texture, (samples / bytes).max(20.0), bytes),
-    };
-    let budget = budget_of(predicted.bytes);
+    let budget = allocation::base_budget(&picture.state, texture, predicted.bytes);
     let mut division = Division { fixed, shared, base_budget: budget, texture, rounds, fit_ratio, until };
     let base = base(picture, budget as u64, &division, Vec::new())?;
 
@@ -299,7 +293,8 @@ fn at_prediction(
     } else {
         bytes
     };
-    let is_wrong = (budget_of(bytes) / budget).strict_ln().abs() > MIN_BASE_GROWTH.strict_ln();
+    let is_wrong = (allocation::base_budget(&picture.state, texture, bytes) / budget).strict_ln().abs()
+        > MIN_BASE_GROWTH.strict_ln();
     if is_wrong && !is_last && until.is_none() {
         picture.state.report.stage("detail", clock);
         let seen = base.bytes.len() as u64 + found.coded.bytes;
@@ -307,7 +302,8 @@ fn at_prediction(
         return Ok(Attempt::Other { next, bytes: seen, score: found.score });
     }
     let mut outcome = base;
-    let is_uncertain = allocation::is_uncertain(&effort, texture, ratio);
+    let ratio = allocation::ratio_of(samples, predicted.bytes);
+    let is_uncertain = allocation::is_uncertain(&picture.state.settings.allocation, texture, ratio);
     if is_uncertain && until.is_none() && options.detail == Detail::Auto {
         division.shared = outcome.bytes.len() as u64 - fixed + found.coded.bytes;
         let first = Layered { base: outcome, coded: Some(found.coded), error: None };
@@ -324,10 +320,7 @@ fn at_prediction(
         if picture.state.clock.is_over() {
             break;
         }
-        let Some((splats, next, after)) = descended(picture, &outcome.splats, &found, &settings, &search)? else {
-            break;
-        };
-        (outcome.splats, found, search) = (splats, next, after);
+        (outcome.splats, found, search) = descended(picture, &outcome.splats, &found, &settings, &search)?;
     }
     found = closely(picture, &outcome.splats, &settings, search, found)?;
     outcome.splats.detail = Some(Arc::new(found.coded.layer));
@@ -389,27 +382,20 @@ fn roughly(
 }
 
 /// Fits the Gaussians' integers to the layer of `found`, and codes another one over them with the step that the score
-/// asks for. Returns `None` if that is no better.
+/// asks for.
 fn descended(
     picture: &mut WholePicture<'_>,
     splats: &PackedSplats,
     found: &Tried,
     settings: &SearchSettings,
     search: &StepSearch,
-) -> Result<Option<(PackedSplats, Tried, StepSearch)>> {
-    let Preset { lambda, .. } = preset(picture.state.options.favoured());
-    let step = f32::from(found.coded.layer.head.step) / 64.0 / 255.0;
-    // An error of luma is an equal error in each of the colours.
-    let colors = if picture.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
-    let price = colors * lambda * step * step;
-    let mut next = splats.clone();
-    let layer = (&found.coded.layer, picture.state.channels);
-    refine_base::descend(&mut next, &picture.planes, layer, price, picture.state.options.levels)?;
+) -> Result<(PackedSplats, Tried, StepSearch)> {
+    let next = refined(picture, splats, &found.coded.layer)?;
     let tiles = residuals(picture, &next);
     let mut after = search.after();
     let mut coder = Coder::new(&tiles, settings, f64::from(after.next()), Some(&found.coded));
     let tried = tried(picture, &next, &mut coder, &mut after)?;
-    Ok(Some((next, tried, after)))
+    Ok((next, tried, after))
 }
 
 /// Returns the layer over `splats` whose score is closest to the one of `search`. `found` is the last one that was

@@ -17,17 +17,17 @@ const PARTS: f32 = 16.0;
 
 /// Returns the cells that ring, and the cells beside them, if `levels` are coded over the Gaussians of `tile`. Only
 /// luma counts.
-pub(super) fn loud_cells(
+pub(super) fn ringing_cells(
     tile: &TileResidual,
     ground: &Ground,
     (levels, head, channels): (&TileLevels, &DetailHead, Channels),
     ringing: Ringing,
 ) -> Vec<bool> {
-    let mut loud = vec![false; CELLS * CELLS];
+    let mut cells = vec![false; CELLS * CELLS];
     let (mut scratch, mut added) = (Scratch::default(), TilePlanes::default());
     reconstruct(levels, (head, channels, tile.size), &mut scratch, &mut added);
     if added.channels() == 0 {
-        return loud;
+        return cells;
     }
     let weights: &[f32] = if channels.count() >= 3 { &[0.25, 0.5, 0.25] } else { &[1.0] };
     let [width, height] = tile.size;
@@ -55,12 +55,12 @@ pub(super) fn loud_cells(
                 // Lapping spreads the values of the blocks beside it into the cell.
                 for row in [y.saturating_sub(1), y, (y + 1).min(CELLS - 1)] {
                     let columns = if row == y { x.saturating_sub(1)..(x + 2).min(CELLS) } else { x..x + 1 };
-                    loud[row * CELLS..][columns].fill(true);
+                    cells[row * CELLS..][columns].fill(true);
                 }
             }
         }
     }
-    loud
+    cells
 }
 
 /// Returns the root of the mean squared difference between the errors in a cell and their mean in and around it.
@@ -84,7 +84,7 @@ mod tests {
     use crate::bitstream::detail::tile::push;
 
     #[test]
-    fn only_flat_cells_that_the_layer_makes_worse_are_loud() {
+    fn only_flat_cells_that_the_layer_makes_worse_ring() {
         let head = DetailHead { step: 2000, ..DetailHead::PLAIN };
         let ringing = Ringing { least: 3.0, factor: 2.0, rounds: 1 };
         // Waves in a block of 16 pixels at the cell [4, 4].
@@ -93,18 +93,18 @@ mod tests {
         block.found.push(at(5, 0) as u16);
         push(&mut levels, 0, [4, 4], 2, &block);
         levels.sizes = std::array::from_fn(|_| vec![2; CELLS * CELLS]);
-        let loud = |rest: f32, is_flat: bool| {
+        let cells_of = |rest: f32, is_flat: bool| {
             let stripes = |i: usize| if i.is_multiple_of(2) { rest } else { -rest };
             let planes = [(0..TILE * TILE).map(stripes).collect(), Vec::new(), Vec::new(), Vec::new()];
             let luma = (0..TILE * TILE).map(|i| if is_flat { 90.0 } else { (i * 31 % 97) as f32 }).collect();
             let tile = TileResidual { size: [64, 64], planes, luma };
-            loud_cells(&tile, &Ground::of(&tile, 4.0), (&levels, &head, Channels::Grey), ringing)
+            ringing_cells(&tile, &Ground::of(&tile, 4.0), (&levels, &head, Channels::Grey), ringing)
         };
-        let found = loud(0.0, true);
+        let found = cells_of(0.0, true);
         let inside = |i: usize| (3..9).contains(&(i % CELLS)) && (3..9).contains(&(i / CELLS));
-        assert!(found.iter().enumerate().all(|(i, &loud)| !loud || inside(i)));
+        assert!(found.iter().enumerate().all(|(i, &rings)| !rings || inside(i)));
         assert!(found[5 * CELLS + 5] && found[5 * CELLS + 3] && !found[3 * CELLS + 3]);
         // Busy cells do not count, nor cells in which the Gaussians are as bad.
-        assert!([loud(0.0, false), loud(16.0 * 40.0, true)].iter().flatten().all(|loud| !loud));
+        assert!([cells_of(0.0, false), cells_of(16.0 * 40.0, true)].iter().flatten().all(|rings| !rings));
     }
 }

@@ -5,12 +5,12 @@ use super::coefficients::{self, Division};
 use super::flat_cells::Ground;
 use super::partition::blocks;
 use super::residual::TileResidual;
-use super::ringing::loud_cells;
+use super::ringing::ringing_cells;
 use super::scaled::{CachedCoefficients, KEPT_TILES};
 use super::settings::{BlockChoice, SearchSettings, Setting};
 use super::trellis::{Chosen, choose, priced_blocks};
 use crate::bitstream::detail::DetailLayer;
-use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
+use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
 use crate::detail::steps::PlaneSteps;
 use crate::parallel;
@@ -157,16 +157,9 @@ pub(super) fn code(
     (sizes, kept): (Option<&[BlockSizes]>, &[CachedCoefficients]),
 ) -> Coded {
     let coding = settings.setting_at(step);
-    let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
-        let chosen;
-        let sizes = match sizes {
-            Some(sizes) => &sizes[i],
-            None => {
-                chosen = chosen_blocks(&tiles[i], &classes[i], &coding);
-                &chosen
-            }
-        };
-        choose(&tiles[i], &classes[i], &coding, sizes, kept.get(i))
+    let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| match sizes {
+        Some(sizes) => choose(&tiles[i], &classes[i], &coding, &sizes[i], kept.get(i)),
+        None => choose_with_blocks(&tiles[i], &classes[i], &coding, kept.get(i)),
     });
     let length = |stream: &[u8]| match stream.len() as u64 {
         0 => 1,
@@ -181,29 +174,40 @@ pub(super) fn code(
     Coded { layer: DetailLayer { head: coding.head, tiles: levels }, bytes, sizes }
 }
 
-/// Chooses the blocks of a tile, and chooses them again where its flat cells ring.
-fn chosen_blocks(tile: &TileResidual, classes: &[u8], coding: &Setting) -> BlockSizes {
+/// Chooses the blocks of a tile and its levels in them. Chooses them again where flat cells ring.
+fn choose_with_blocks(
+    tile: &TileResidual,
+    classes: &[u8],
+    coding: &Setting,
+    kept: Option<&CachedCoefficients>,
+) -> Chosen {
     let mut ground = Ground::of(tile, coding.mixed.flat_range);
     let blocks = |ground: &Ground| match coding.blocks {
         BlockChoice::Rough => blocks(tile, (classes, ground), coding),
         BlockChoice::Priced => priced_blocks(tile, (classes, ground), coding),
     };
     let mut sizes = blocks(&ground);
-    let Some(ringing) = coding.mixed.ringing else { return sizes };
-    let mut loud = vec![false; CELLS * CELLS];
-    for _ in 0..ringing.rounds {
-        let Some(levels) = choose(tile, classes, coding, &sizes, None).levels else { break };
-        let found = loud_cells(tile, &ground, (&levels, &coding.head, coding.channels), ringing);
-        // Cells that were quiet in an earlier round may ring in the blocks of the next.
-        let is_new = found.iter().zip(&loud).any(|(found, loud)| *found && !loud);
-        if !is_new {
-            break;
+    let rounds = coding.mixed.ringing.map_or(0, |ringing| ringing.rounds);
+    for _ in 0..rounds {
+        let coefficients = CachedCoefficients::new();
+        let chosen = choose(tile, classes, coding, &sizes, Some(&coefficients));
+        if !find_ringing(tile, &mut ground, &chosen, coding) {
+            if let (Some(kept), Some(coefficients)) = (kept, coefficients.into_inner()) {
+                kept.get_or_init(|| coefficients);
+            }
+            return chosen;
         }
-        loud.iter_mut().zip(found).for_each(|(loud, found)| *loud |= found);
-        ground.make_dear(loud.clone(), ringing.factor);
         sizes = blocks(&ground);
     }
-    sizes
+    choose(tile, classes, coding, &sizes, kept)
+}
+
+/// Adds the cells that ring in a coded tile to those of `ground`. Returns whether there are new ones: cells may ring in
+/// the blocks of one round and not in those of another.
+fn find_ringing(tile: &TileResidual, ground: &mut Ground, chosen: &Chosen, coding: &Setting) -> bool {
+    let (Some(levels), Some(ringing)) = (&chosen.levels, coding.mixed.ringing) else { return false };
+    let found = ringing_cells(tile, ground, (levels, &coding.head, coding.channels), ringing);
+    ground.add_ringing(&found, ringing.factor)
 }
 
 /// The magnitudes of the coefficients of a residual in blocks of 8 and 16, which tell about how many bytes a layer takes.
@@ -316,7 +320,7 @@ mod tests {
         // Ground that the Gaussians draw, beside waves that they do not. The border lies within large blocks.
         let pixels = || (0..TILE * TILE).map(|i| [i % TILE, i / TILE]);
         let waves = |[x, y]: [usize; 2]| 1300.0 * ((x as f32 * 0.9).sin() + (y as f32 * 0.5).cos());
-        let mut loud = |ringing| {
+        let mut count = |ringing| {
             settings.coding.mixed.ringing = ringing;
             let of_border = |border: usize| {
                 let residual = pixels().map(|at| if at[0] < border { 0.0 } else { waves(at) }).collect();
@@ -326,11 +330,11 @@ mod tests {
                 let ground = Ground::of(&tile, settings.coding.mixed.flat_range);
                 let coded = code(std::slice::from_ref(&tile), &[Vec::new()], &settings, 2600, (None, &[]));
                 let layer = (coded.layer.tiles[0].as_ref().unwrap(), &coded.layer.head, Channels::Rgb);
-                loud_cells(&tile, &ground, layer, usual).iter().filter(|&&loud| loud).count()
+                ringing_cells(&tile, &ground, layer, usual).iter().filter(|&&rings| rings).count()
             };
             [20, 24, 28, 36, 40, 44].map(of_border)
         };
-        let [once, again] = [None, Some(usual)].map(&mut loud);
+        let [once, again] = [None, Some(usual)].map(&mut count);
         assert!(again.iter().sum::<usize>() < once.iter().sum(), "{once:?} {again:?}");
     }
 
