@@ -6,9 +6,17 @@ use super::{LANES, Simd};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plain;
 
-#[inline(always)]
-fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
-    std::array::from_fn(|i| f(a[i], b[i]))
+/// Evaluates an expression for each lane. Written out, since closures and loops take compilers several times as long.
+macro_rules! each_lane {
+    ($i:ident => $value:expr) => {
+        each_lane!($i, $value, 0 1 2 3 4 5 6 7)
+    };
+    ($i:ident, $value:expr, $($lane:literal)*) => {
+        [$({
+            const $i: usize = $lane;
+            $value
+        }),*]
+    };
 }
 
 impl Simd for Plain {
@@ -33,56 +41,56 @@ impl Simd for Plain {
 
     #[inline(always)]
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a + b)
+        each_lane!(I => a[I] + b[I])
     }
 
     #[inline(always)]
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a - b)
+        each_lane!(I => a[I] - b[I])
     }
 
     #[inline(always)]
     fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a * b)
+        each_lane!(I => a[I] * b[I])
     }
 
     #[inline(always)]
     fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a / b)
+        each_lane!(I => a[I] / b[I])
     }
 
     #[inline(always)]
     fn sqrt(self, a: Self::Vector) -> Self::Vector {
-        a.map(f32::sqrt)
+        each_lane!(I => a[I].sqrt())
     }
 
     #[inline(always)]
     fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| if a > b { a } else { b })
+        each_lane!(I => if a[I] > b[I] { a[I] } else { b[I] })
     }
 
     #[inline(always)]
     fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| if a < b { a } else { b })
+        each_lane!(I => if a[I] < b[I] { a[I] } else { b[I] })
     }
 
     #[inline(always)]
     fn keep_above(self, v: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        std::array::from_fn(|i| if a[i] > b[i] { v[i] } else { 0.0 })
+        each_lane!(I => if a[I] > b[I] { v[I] } else { 0.0 })
     }
 
     #[inline(always)]
     fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector {
-        zip(p, shifted, |p, s| f32::from_bits((s.to_bits() << 23).wrapping_add(p.to_bits())))
+        each_lane!(I => f32::from_bits((shifted[I].to_bits() << 23).wrapping_add(p[I].to_bits())))
     }
 
     #[inline(always)]
     fn floor(self, v: Self::Vector) -> [u32; LANES] {
         // A cast saturates, and its range checks would prevent vectorization.
         const MAGIC: f32 = 8_388_608.0;
-        v.map(|v| {
-            let shifted = v + MAGIC;
-            (shifted.to_bits() & 0x7F_FFFF).wrapping_sub(u32::from(shifted - MAGIC > v))
+        each_lane!(I => {
+            let shifted = v[I] + MAGIC;
+            (shifted.to_bits() & 0x7F_FFFF).wrapping_sub(u32::from(shifted - MAGIC > v[I]))
         })
     }
 
