@@ -319,14 +319,6 @@ impl Encoder {
         pack::encode_gaussians(gaussians, &self.options)
     }
 
-    /// Sets the fitting recipe, for comparisons with SmartSplat.
-    #[cfg(feature = "smartsplat")]
-    #[must_use]
-    pub fn recipe(mut self, recipe: crate::Recipe) -> Self {
-        self.options.recipe = recipe;
-        self
-    }
-
     /// Returns the options.
     #[cfg(feature = "image")]
     pub(crate) fn options(&self) -> &EncodeOptions {

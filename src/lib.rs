@@ -192,7 +192,6 @@ See [`gpu`] for rendering into the textures of a program.
 //! | `image` (default) | the hooks of the `image` crate, and encoding of its pictures |
 //! | `quality` (default) | `Target::Quality`, the default target: encoding to a perceptual quality (SSIMULACRA2); without it, the default is a ratio of 25 |
 //! | `gpu` | fitting and rendering on a GPU through `wgpu` |
-//! | `smartsplat` | the SmartSplat recipe, for comparisons |
 //! | `unstable` | internal modules for the tools of the repository; any release may change them |
 //!
 //! # Stability
@@ -290,8 +289,6 @@ pub use image_crate::SsplatEncoder;
 #[cfg(feature = "image")]
 pub use image_crate::{EXTENSION, SsplatDecoder, register};
 pub use limits::Limits;
-#[cfg(feature = "smartsplat")]
-pub use options::{Ablation, Recipe};
 #[cfg(feature = "encode")]
 pub use options::{Backend, Detail, HiddenColors, MetadataPolicy, Thumbnail, Tune};
 pub use options::{Damage, Layers};

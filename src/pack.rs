@@ -75,7 +75,6 @@ fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
         (Parameter::Time, options.time.is_some()),
         (Parameter::Seed, options.seed != plain.seed),
         (Parameter::Blend, options.blend.is_some_and(|blend| blend != given.blend)),
-        (Parameter::Recipe, options.recipe != plain.recipe),
         (Parameter::Tune, options.tune.is_some()),
         (Parameter::Backend, options.backend == Backend::Gpu),
         (Parameter::Detail, matches!(options.detail, Detail::GaussianShare(_))),

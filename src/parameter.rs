@@ -52,8 +52,6 @@ pub enum Parameter {
     Quality,
     /// Ratio of the raw size to the file size.
     Ratio,
-    /// Fitting recipe.
-    Recipe,
     /// Region of a picture.
     Region,
     /// Rotation of a Gaussian.
@@ -114,7 +112,6 @@ impl Parameter {
             Parameter::Psnr => "psnr",
             Parameter::Quality => "quality",
             Parameter::Ratio => "ratio",
-            Parameter::Recipe => "recipe",
             Parameter::Region => "region",
             Parameter::Rotation => "rotation",
             Parameter::Samples => "samples",

@@ -11,8 +11,6 @@ pub use crate::decode::{decode, decode_into};
 pub use crate::encode::{MAX_WHOLE_PIXELS, Texture, TracePoint, divide, encode, encode_with_progress};
 #[cfg(all(feature = "encode", feature = "image"))]
 pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
-#[cfg(feature = "smartsplat")]
-pub use crate::options::Ablation;
 pub use crate::options::DecodeOptions;
 #[cfg(feature = "encode")]
 pub use crate::options::{EncodeOptions, Needs, Outside, Precision, Recipe, Rung, Trace};
@@ -79,4 +77,9 @@ pub mod raster {
 /// Vectors of eight lanes.
 pub mod simd {
     pub use crate::simd::*;
+}
+/// The weights of squared errors.
+#[cfg(feature = "encode")]
+pub mod weighting {
+    pub use crate::weighting::RowWeights;
 }

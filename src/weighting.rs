@@ -31,7 +31,7 @@ pub(crate) fn opacity_channel(channels: Channels, hidden: HiddenColors) -> Optio
 
 /// The weights of a row of samples. Factors of errors are square roots of weights.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct RowWeights<'a> {
+pub struct RowWeights<'a> {
     /// The channel of the opacities, and the opacities of the row.
     pub opacity: Option<(usize, &'a [f32])>,
     /// Factors of the errors of each pixel; `None` means 1.
@@ -49,7 +49,7 @@ impl<'a> RowWeights<'a> {
 
     /// Returns the factor of the error of sample `x` in channel `k`.
     #[inline(always)]
-    pub(crate) fn factor(&self, k: usize, x: usize) -> f32 {
+    pub fn factor(&self, k: usize, x: usize) -> f32 {
         let opacity = self.opacity_of(k).map_or(1.0, |o| o[x].sqrt());
         opacity * self.channels[k] * self.amplitude.map_or(1.0, |a| a[x])
     }

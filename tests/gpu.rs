@@ -12,7 +12,6 @@ use scenes::{codes, scene};
 use ssplat::View;
 use ssplat::gpu::{Adapters, Device, Renderer};
 use ssplat::unstable::EncodeOptions;
-use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
@@ -62,9 +61,6 @@ fn encoder(device: &Device) {
         assert_eq!(tuned.report.chosen.backend, Backend::Gpu, "{tune:?}");
         assert_ne!(tuned.bytes, encoded.bytes, "{tune:?} weighs as the default does");
     }
-    options.recipe = Recipe::SmartSplat(Default::default());
-    let refused = ssplat::unstable::encode(&pixels, &options);
-    assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
 }
 
 fn tiles(device: &Device) {

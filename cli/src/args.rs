@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{DEFAULT_QUALITY, EncodeOptions, Recipe};
+use ssplat::unstable::{DEFAULT_QUALITY, EncodeOptions};
 use ssplat::{Backend, Blend, Detail, HiddenColors, Layers, MetadataPolicy, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
@@ -146,14 +146,11 @@ pub struct Encode {
     /// Layout of the file
     #[arg(help_heading = "Research", long, default_value = "coded", value_parser = names::layout())]
     pub layout: Layout,
-    /// How primitives blend [default: that of the recipe]
+    /// How primitives blend [default: normalized]
     #[arg(help_heading = "Research", long, value_parser = names::blend())]
     pub blend: Option<Blend>,
-    /// The fitting recipe; the last four are the SmartSplat paper's and its ablation
-    #[arg(help_heading = "Research", long, default_value = "ssplat", value_parser = names::recipe())]
-    pub recipe: Recipe,
     /// What to optimize for: iq (perceptual quality), ssim (structure) or psnr (squared error) [default: iq; psnr with
-    /// --psnr and for the paper's recipes]
+    /// --psnr]
     #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,
     /// Keep the colours of fully transparent pixels; by default a smooth continuation of the visible colours replaces
@@ -299,15 +296,12 @@ impl Encode {
             t.quality.map(Target::Quality),
             t.lossless.then_some(Target::Lossless),
         ];
-        // Other methods have no quality, so their default is a ratio.
-        let default = if self.recipe == Recipe::Ssplat { Target::Quality(DEFAULT_QUALITY) } else { o.target };
-        o.target = targets.into_iter().flatten().next().unwrap_or(default);
+        o.target = targets.into_iter().flatten().next().unwrap_or(Target::Quality(DEFAULT_QUALITY));
         o.effort = self.effort;
         o.time = self.time;
         o.seed = self.seed;
         o.layout = self.layout;
         o.blend = self.blend;
-        o.recipe = self.recipe;
         o.tune = self.tune;
         (o.detail, o.levels, o.tiles) = (self.detail, self.levels, self.tiles);
         o.hidden = if self.keep_hidden { HiddenColors::Keep } else { HiddenColors::Continue };

@@ -2,7 +2,6 @@
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Ablation, Recipe};
 use ssplat::{Backend, Blend, Layers, MetadataPolicy, Tune};
 
 static LAYOUTS: [(&str, Layout); 3] =
@@ -47,16 +46,6 @@ pub fn layout() -> impl TypedValueParser<Value = Layout> {
 
 pub fn blend() -> impl TypedValueParser<Value = Blend> {
     named(&BLENDS)
-}
-
-pub fn recipe() -> impl TypedValueParser<Value = Recipe> {
-    named(&[
-        ("ssplat", Recipe::Ssplat),
-        ("smartsplat", Recipe::SmartSplat(Ablation::Colors)),
-        ("smartsplat-random", Recipe::SmartSplat(Ablation::Random)),
-        ("smartsplat-means", Recipe::SmartSplat(Ablation::Means)),
-        ("smartsplat-scales", Recipe::SmartSplat(Ablation::Scales)),
-    ])
 }
 
 pub fn tune() -> impl TypedValueParser<Value = Tune> {

@@ -4,9 +4,8 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
-use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Ablation, Needs, Recipe};
+use ssplat::unstable::{EncodeOptions, Needs};
 use ssplat::{Blend, Channels, Detail, Error, Limits, Parameter, Pixels, Samples, Target, Thumbnail, Tune};
 
 #[derive(Debug)]
@@ -29,8 +28,6 @@ impl<'a> Arbitrary<'a> for Input {
         options.seed = u.arbitrary()?;
         options.layout = *u.choose(&[Layout::Packed, Layout::Planes, Layout::Coded])?;
         options.blend = *u.choose(&[None, Some(Blend::Normalized), Some(Blend::Sum)])?;
-        options.recipe =
-            *u.choose(&[Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors), Recipe::SmartSplat(Ablation::Random)])?;
         options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)])?;
         options.backend = ssplat::Backend::Cpu;
         options.needs = *u.choose(&[Needs::Measured, Needs::Everything])?;
@@ -56,8 +53,8 @@ impl<'a> Arbitrary<'a> for Input {
         // Often shorter than the fit.
         options.time =
             if u.ratio(1, 8)? { Some(std::time::Duration::from_micros(u.arbitrary::<u16>()?.into())) } else { None };
-        // Seldom wide enough for two tiles, which takes longer. Other recipes are not fitted in tiles.
-        let is_tiled = options.recipe == Recipe::Ssplat && u.ratio(1, 32)?;
+        // Seldom wide enough for two tiles, which takes longer.
+        let is_tiled = u.ratio(1, 32)?;
         options.tiles = if is_tiled { Some(128) } else { None };
         let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
         let (width, height) = (u.int_in_range(1..=24)? + if is_tiled { 128 } else { 0 }, u.int_in_range(1..=24)?);

@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Recipe, metrics};
+use ssplat::unstable::metrics;
 use ssplat::{Backend, Limits, Pixels, Target, Tune};
 use ssplat::{Renderer, View};
 use ssplat_cli::{names, perceived};
@@ -53,9 +53,6 @@ struct Args {
     /// Layout of the files
     #[arg(long, default_value = "coded", value_parser = names::layout())]
     layout: Layout,
-    /// The fitting recipe
-    #[arg(long, default_value = "ssplat", value_parser = names::recipe())]
-    recipe: Recipe,
     /// Measure to optimize for
     #[arg(long, default_value = "psnr", value_parser = names::tune())]
     tune: Tune,
@@ -183,7 +180,6 @@ fn options(args: &Args, ratio: u32) -> EncodeOptions {
     options.time = args.time.map(Duration::from_secs_f64);
     options.seed = args.seed;
     options.layout = args.layout;
-    options.recipe = args.recipe;
     options.tune = Some(args.tune);
     options.backend = args.backend;
     options

@@ -2,8 +2,10 @@
 //! tool for developers.
 
 mod bench_methods;
+mod loss;
 mod recipes;
 mod report;
+mod smartsplat;
 
 use std::process::ExitCode;
 

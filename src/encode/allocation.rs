@@ -27,7 +27,7 @@ use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
-use crate::options::{Detail, EncodeOptions, Recipe, Tune};
+use crate::options::{Detail, EncodeOptions, Tune};
 use crate::rdo::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
@@ -357,7 +357,7 @@ fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
 /// Returns whether a file with these options may have a detail layer. Only the coded layout has one, and other methods
 /// consist of Gaussians alone.
 fn may_have_layer(options: &EncodeOptions) -> bool {
-    options.layout == Layout::Coded && options.recipe == Recipe::Ssplat
+    options.layout == Layout::Coded && options.recipe.is_own()
 }
 
 /// Returns the texture of a picture if the allocation depends on it: with perceptual tuning, and if it is regular.

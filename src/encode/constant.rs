@@ -4,7 +4,7 @@
 use super::input::may_leave_out;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
-use crate::options::{EncodeOptions, Recipe};
+use crate::options::EncodeOptions;
 use crate::pixels::{Pixels, Samples};
 
 /// Returns whether all pixels of `pixels` are equal.
@@ -20,7 +20,7 @@ pub(super) fn is_constant(pixels: &Pixels) -> bool {
 
 /// Returns whether the options allow such integers.
 pub(super) fn is_possible(options: &EncodeOptions, blend: Blend) -> bool {
-    may_leave_out(options) && blend == Blend::Normalized && options.recipe == Recipe::Ssplat
+    may_leave_out(options) && blend == Blend::Normalized && options.recipe.is_own()
 }
 
 /// Sets the steps, the background and the primitives of `splats` such that every pixel has the colour `color`, with an

@@ -23,8 +23,6 @@ use crate::pixels::{Depth, Pixels};
 use crate::fit::engine::Engine;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Adapters, Device, Fitter};
-#[cfg(feature = "gpu")]
-use crate::options::Recipe;
 /// Builds without the feature `gpu` have no such device.
 #[cfg(not(feature = "gpu"))]
 type Device = std::convert::Infallible;
@@ -193,8 +191,8 @@ pub(super) fn takes_gpu(options: &EncodeOptions) -> bool {
 
 #[cfg(feature = "gpu")]
 fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuError> {
-    if options.recipe != Recipe::Ssplat {
-        return Err(GpuError::Unsupported { what: "the recipe smartsplat" });
+    if !options.recipe.is_own() {
+        return Err(GpuError::Unsupported { what: "the recipe of another method" });
     }
     // A caller that requests the GPU explicitly may want a software adapter.
     let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };

@@ -10,6 +10,7 @@ use crate::error::Result;
 use crate::fit::Fitted;
 use crate::fit::engine::{Ending, Snapshot, Watcher};
 use crate::fit::job::Job;
+use crate::fit::model::adam::Bounds;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::objective::{masking, structure};
 use crate::fit::model::problem::{Problem, Scene};
@@ -47,10 +48,10 @@ pub(super) fn fit(picture: &mut WholePicture<'_>, count: usize, request: &FitReq
     let stage = Stage { name: "fit", report: &mut *report, input, planes };
     let mut watcher = FitWatcher { stage, job, size: request.size, draft: blank.clone(), steps: 0 };
     let Fitted { by: state, ending, amplitude } = match options.recipe {
-        Recipe::Ssplat => device.fit(&job, input.pixels.depth(), &mut watcher)?,
-        #[cfg(feature = "smartsplat")]
-        Recipe::SmartSplat(parts) => {
-            let by = crate::fit::smartsplat::fit(&job, parts, &mut watcher)?;
+        Recipe::Ssplat | Recipe::StartOf(_) => device.fit(&job, input.pixels.depth(), &mut watcher)?,
+        Recipe::Other(method) => {
+            let bounds = Bounds::new(planes.width, planes.height);
+            let by = State::new(job.given_to(|job| method.fit(job, &mut watcher))?, bounds);
             Fitted { by, ending: Ending::Scheduled, amplitude: None }
         }
     };
@@ -84,12 +85,15 @@ fn plan(picture: &WholePicture<'_>, count: usize, request: &FitRequest) -> Plan 
     plan.iterations = (plan.iterations as f32 * input.iterations) as u32;
     plan.initial.clone_from(&request.initial);
     plan.rung = options.rung;
+    if let Recipe::StartOf(method) = options.recipe {
+        plan.start_of = Some(method);
+    }
     if options.needs == Needs::Measured {
         plan.enough = sufficient_error(options.target, input.pixels.depth());
     }
     let is_worth_it =
         plan.iterations >= MIN_REWEIGHED_STEPS && !input.scene(planes.mean).is_large() && !planes.amplitude.is_empty();
-    plan.reweighs = is_worth_it && options.favoured() == Tune::Iq && options.recipe == Recipe::Ssplat;
+    plan.reweighs = is_worth_it && options.favoured() == Tune::Iq && options.recipe.is_own();
     plan
 }
 

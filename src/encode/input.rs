@@ -5,7 +5,7 @@ use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use crate::error::{Error, Result};
 use crate::fit::model::problem::Scene;
 use crate::gaussian::{Blend, Channels};
-use crate::options::{EncodeOptions, Needs, Recipe};
+use crate::options::{EncodeOptions, Needs};
 use crate::pixels::{Depth, Pixels};
 
 /// A picture and the caller's options.
@@ -23,7 +23,7 @@ pub(super) struct EncodeInput<'a> {
 impl EncodeInput<'_> {
     /// Returns how primitives blend.
     pub(super) fn blend(&self) -> Blend {
-        self.options.blend.unwrap_or(if self.options.recipe == Recipe::Ssplat { Blend::Normalized } else { Blend::Sum })
+        self.options.blend.unwrap_or(if self.options.recipe.is_own() { Blend::Normalized } else { Blend::Sum })
     }
 
     /// Returns the channels of the file.
@@ -37,7 +37,7 @@ impl EncodeInput<'_> {
             width: self.pixels.width(),
             height: self.pixels.height(),
             blend: self.blend(),
-            background: if self.options.recipe == Recipe::Ssplat { mean } else { [0.0; 4] },
+            background: if self.options.recipe.is_own() { mean } else { [0.0; 4] },
         }
     }
 

@@ -46,8 +46,6 @@ use std::ops::ControlFlow;
 
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
-#[cfg(feature = "quality-hook")]
-use crate::options::Recipe;
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 #[cfg(any(test, feature = "image", feature = "unstable"))]
@@ -127,7 +125,7 @@ pub(crate) fn encode_by(
 /// Replaces [`Target::Auto`] with the default quality if this program can measure it. Other methods keep their ratio.
 fn with_default(options: &EncodeOptions) -> Cow<'_, EncodeOptions> {
     #[cfg(feature = "quality-hook")]
-    if options.target == Target::Auto && options.recipe == Recipe::Ssplat && ssimulacra2::is_provided() {
+    if options.target == Target::Auto && options.recipe.is_own() && ssimulacra2::is_provided() {
         return Cow::Owned(EncodeOptions { target: Target::Quality(DEFAULT_QUALITY), ..options.clone() });
     }
     Cow::Borrowed(options)

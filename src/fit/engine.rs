@@ -58,7 +58,7 @@ pub(crate) enum Ending {
 }
 
 /// Follows the progress of a fit.
-pub(crate) trait Watcher {
+pub trait Watcher {
     /// Called before every step with the fraction of the work that is done (0..=1). An error stops the fit.
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()>;
     /// Returns how many primitives there should be, given the current ones.
@@ -66,7 +66,7 @@ pub(crate) trait Watcher {
 }
 
 /// The current state of the work, for a watcher to inspect. Each call costs about as much as a step over all rows.
-pub(crate) trait Snapshot {
+pub trait Snapshot {
     /// Waits until all requested steps have been taken.
     #[allow(dead_code, reason = "only a fit on a GPU is timed step by step")]
     fn settle(&mut self) -> Result<()>;
@@ -108,7 +108,7 @@ impl<E: Engine> Snapshot for EngineSnapshot<'_, E> {
 }
 
 /// A snapshot of primitives that do not change. They are projected only on demand.
-pub(crate) struct StaticSnapshot<'a> {
+pub struct StaticSnapshot<'a> {
     pub problem: &'a Problem<'a>,
     pub project: &'a dyn Fn() -> Vec<Projected>,
 }

@@ -4,15 +4,14 @@
 //! finds where to start, and [`schedule`] decides what each step does. Nothing here deals with integers or bytes.
 
 mod cpu;
-pub(crate) mod engine;
+pub mod engine;
 pub(crate) mod job;
+pub mod method;
 pub mod model;
 pub(crate) mod multi_start;
 pub(crate) mod plan;
 mod probe_fit;
 pub(crate) mod schedule;
-#[cfg(feature = "smartsplat")]
-pub(crate) mod smartsplat;
 #[cfg(test)]
 #[path = "../../tests/internal/stability.rs"]
 mod stability;

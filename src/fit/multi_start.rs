@@ -21,11 +21,7 @@ use crate::fit::model::placing::sample;
 use crate::fit::model::problem::Scene;
 use crate::fit::plan::Plan;
 use crate::fit::schedule::{self, Part};
-#[cfg(feature = "smartsplat")]
-use crate::fit::smartsplat;
 use crate::fit::state::State;
-#[cfg(feature = "smartsplat")]
-use crate::options::{Ablation, Rung};
 use crate::strict_math::StrictMath;
 
 /// Number of primitives from which on the small ones need all pixels: 260 primitives lose 0.1 dB with a copy of half
@@ -76,12 +72,13 @@ fn halvings(scene: &Scene, count: usize) -> u32 {
 /// Returns the starting state of the fit `job`. `watcher` may correct the number of primitives.
 pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     let Job { problem, count, plan } = *job;
-    #[cfg(feature = "smartsplat")]
-    if plan.rung < Rung::Start {
-        let mut rng = random(plan);
-        let primitives = smartsplat::initial(problem.target, count, Ablation::Colors, &mut rng);
+    if let Some(method) = plan.start_of {
         let bounds = Bounds::new(problem.target.width, problem.target.height);
-        return Ok(Start { state: State::new(primitives, bounds), rng, from: 0 });
+        return Ok(Start {
+            state: State::new(job.given_to(|job| method.start(job)), bounds),
+            rng: random(plan),
+            from: 0,
+        });
     }
     if !plan.initial.is_empty() {
         let bounds = Bounds::new(problem.target.width, problem.target.height);

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::effort::{BaseFitSettings, FitSettings, HalfSize};
+use crate::fit::method::FitMethod;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
@@ -81,6 +82,8 @@ pub(crate) struct Plan {
     pub initial: Vec<Primitive>,
     /// The last part of the method that an ablation includes.
     pub rung: Rung,
+    /// Method whose start is used instead of that of this crate.
+    pub start_of: Option<&'static dyn FitMethod>,
 }
 
 /// Returns the factor, a power of two, by which a picture of `pixels` pixels may be downscaled while `count` primitives
@@ -192,6 +195,7 @@ impl Plan {
             seed,
             initial: Vec::new(),
             rung: Rung::default(),
+            start_of: None,
         }
     }
 

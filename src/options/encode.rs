@@ -4,70 +4,40 @@ use std::time::Duration;
 
 use crate::bitstream::cicp::Cicp;
 use crate::bitstream::splats::{Layout, Metadata, Steps};
+use crate::fit::method::FitMethod;
 use crate::gaussian::Blend;
+use crate::options::fit::{HiddenColors, Rung, Tune};
 use crate::target::Target;
 
 /// The method of the fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
-#[non_exhaustive]
+#[derive(Debug, Clone, Copy, Default)]
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools bring other methods"))]
 pub enum Recipe {
     /// The method of this crate, as described in the README.
     #[default]
     Ssplat,
-    /// The SmartSplat pipeline (AAAI 2026), with the parts selected by [`Ablation`].
-    #[cfg(feature = "smartsplat")]
-    SmartSplat(Ablation),
+    /// The method of this crate, starting with the primitives of another method.
+    StartOf(&'static dyn FitMethod),
+    /// Another method.
+    Other(&'static dyn FitMethod),
 }
 
-/// Which parts of SmartSplat's initialization are used, in the order of the paper's ablation.
-#[cfg(feature = "smartsplat")]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
-pub enum Ablation {
-    /// Random means, uniform scales, random colours.
-    Random,
-    /// Means by feature-guided and exclusion-based sampling.
-    Means,
-    /// Scales by the paper's rule as well.
-    Scales,
-    /// Gaussian-weighted median colours as well: the whole initialization.
-    #[default]
-    Colors,
+/// Methods are equal if they are the same value in memory.
+impl PartialEq for Recipe {
+    fn eq(&self, other: &Self) -> bool {
+        match (*self, *other) {
+            (Recipe::Ssplat, Recipe::Ssplat) => true,
+            (Recipe::StartOf(a), Recipe::StartOf(b)) | (Recipe::Other(a), Recipe::Other(b)) => std::ptr::addr_eq(a, b),
+            _ => false,
+        }
+    }
 }
 
-/// Steps of an ablation from SmartSplat's pipeline to ours. Each step adds to the previous ones; normal encodes use the
-/// last. The first two belong to `Recipe::SmartSplat`, the others to [`Recipe::Ssplat`].
-#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
-pub enum Rung {
-    /// A fit whose result is rounded to the nearest integers.
-    Fit,
-    /// Descent over the integers as well.
-    Descent,
-    /// Squared error, step sizes in each Gaussian's own frame, and faster decaying moments.
-    Optimizer,
-    /// Steps that sample some of the rows.
-    Sampling,
-    /// Initialization by detail, along edges.
-    Start,
-    /// Relocation of the least useful primitives.
-    Relocation,
-    /// A price of size.
-    #[default]
-    Price,
-}
-
-/// Measure of quality that the fit optimizes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Tune {
-    /// Squared error.
-    Psnr,
-    /// Structural similarity, at a cost of at most 0.5 dB of PSNR.
-    Ssim,
-    /// Perceived quality from some distance: errors are weighted by how busy the luma and its surroundings are at
-    /// several sizes. It costs at most 0.5 dB of PSNR, on average 0.1 to 0.3 dB. The names of these measures are those
-    /// that AV1's encoder uses.
-    Iq,
+impl Recipe {
+    /// Returns whether the steps are those of this crate.
+    pub(crate) fn is_own(self) -> bool {
+        !matches!(self, Recipe::Other(_))
+    }
 }
 
 /// Device that fits the picture.
@@ -133,18 +103,6 @@ pub enum Detail {
     Off,
     /// Share of the bytes for the Gaussians, above 0 and below 1; the layer gets the rest.
     GaussianShare(f64),
-}
-
-/// Treatment of colours under alpha 0, which no viewer shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
-#[non_exhaustive]
-pub enum HiddenColors {
-    /// Replace them by a smooth continuation of the visible colours, so that they take no bytes and leave no fringes.
-    #[default]
-    Continue,
-    /// Fit them like visible colours, for programs that use them for other purposes. The errors of all pixels have
-    /// equal weight.
-    Keep,
 }
 
 /// Metadata of the source that a file carries. They count as bytes of the file.
@@ -229,7 +187,7 @@ pub struct EncodeOptions {
     /// more than 2²⁵ pixels are fitted in tiles of 2048 unless the recipe excludes tiles or a GPU is used, pictures of
     /// more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is fitted as a whole.
     ///
-    /// Tiles bound the memory of a fit. The SmartSplat recipe excludes tiles, because its paper defines it on whole
+    /// Tiles bound the memory of a fit. Other methods exclude tiles, because their papers define them on whole
     /// pictures. With tiles, a quality is the mean of the tiles' scores.
     pub tiles: Option<u32>,
     /// Treatment of colours under alpha 0.
@@ -272,7 +230,7 @@ impl EncodeOptions {
     /// Returns the quality measure that the fit optimizes with these options.
     #[must_use]
     pub fn favoured(&self) -> Tune {
-        let is_alike = matches!(self.target, Target::Psnr(_)) || self.recipe != Recipe::Ssplat;
+        let is_alike = matches!(self.target, Target::Psnr(_)) || !self.recipe.is_own();
         self.tune.unwrap_or(if is_alike { Tune::Psnr } else { Tune::Iq })
     }
 }

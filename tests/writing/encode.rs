@@ -1,11 +1,11 @@
-//! Tests of the encoder: sizes, determinism, kinds of pictures, targets, time limits, recipes, and errors.
+//! Tests of the encoder: sizes, determinism, kinds of pictures, targets, time limits, and errors.
 
 use std::ops::ControlFlow;
 use std::time::Duration;
 
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Ablation, Recipe, bitstream, metrics};
 use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode, encode_with_progress};
+use ssplat::unstable::{bitstream, metrics};
 use ssplat::{Blend, Channels, Decoder, Depth, Detail, Encoded, Error, Limits, Pixels, Samples, Target, Tune};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
@@ -135,12 +135,10 @@ fn files_have_the_requested_number_of_primitives() {
 #[test]
 fn equal_options_give_equal_bytes() {
     let pixels = picture(80, 60, Channels::Rgb);
-    for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
-        for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
-            let mut options = quick(Target::Bytes(300));
-            (options.recipe, options.tune) = (recipe, Some(tune));
-            assert_eq!(encode(&pixels, &options).unwrap().bytes, encode(&pixels, &options).unwrap().bytes);
-        }
+    for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
+        let mut options = quick(Target::Bytes(300));
+        options.tune = Some(tune);
+        assert_eq!(encode(&pixels, &options).unwrap().bytes, encode(&pixels, &options).unwrap().bytes);
     }
 }
 
@@ -149,15 +147,9 @@ fn equal_options_give_equal_bytes() {
 fn bytes_do_not_depend_on_the_thread_count() {
     let pixels = picture(64, 100, Channels::Rgba);
     // Effort 7 freezes parameters as well, and 80 bytes use several starts.
-    for (bytes, recipe, tune, effort) in [
-        (500, Recipe::Ssplat, Tune::Psnr, 7),
-        (500, Recipe::Ssplat, Tune::Ssim, 2),
-        (500, Recipe::Ssplat, Tune::Iq, 2),
-        (80, Recipe::Ssplat, Tune::Psnr, 2),
-        (500, Recipe::SmartSplat(Ablation::Colors), Tune::Psnr, 1),
-    ] {
+    for (bytes, tune, effort) in [(500, Tune::Psnr, 7), (500, Tune::Ssim, 2), (500, Tune::Iq, 2), (80, Tune::Psnr, 2)] {
         let mut options = quick(Target::Bytes(bytes));
-        (options.recipe, options.tune, options.effort) = (recipe, Some(tune), effort);
+        (options.tune, options.effort) = (Some(tune), effort);
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| encode(&pixels, &options).unwrap().bytes)
@@ -372,33 +364,14 @@ fn an_infinite_time_budget_is_no_budget() {
 #[test]
 fn a_time_budget_ends_the_work() {
     let pixels = picture(400, 300, Channels::Rgb);
-    for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
-        let mut options = quick(Target::Ratio(50.0));
-        (options.recipe, options.effort) = (recipe, 9);
-        options.time = Some(Duration::from_millis(600));
-        let encoded = encode(&pixels, &options).unwrap();
-        // Effort 9 takes half a minute; the margin is for a busy machine.
-        assert!(encoded.report.seconds < 12.0, "{recipe:?}: {} s", encoded.report.seconds);
-        assert_fills(&encoded, 400 * 300 * 3 / 50, "600 ms");
-        assert!(encoded.report.psnr.is_finite());
-    }
-}
-
-#[test]
-fn all_parts_of_smartsplat_have_an_effect_and_fill_the_size() {
-    let pixels = picture(96, 64, Channels::Rgb);
-    let mut all = Vec::new();
-    for parts in [Ablation::Random, Ablation::Means, Ablation::Scales, Ablation::Colors] {
-        let mut options = quick(Target::Bytes(600));
-        options.recipe = Recipe::SmartSplat(parts);
-        let encoded = encode(&pixels, &options).unwrap();
-        assert_fills(&encoded, 600, &format!("{parts:?}"));
-        assert_eq!(bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().blend, Blend::Sum);
-        all.push(encoded.bytes);
-    }
-    all.sort();
-    all.dedup();
-    assert_eq!(all.len(), 4);
+    let mut options = quick(Target::Ratio(50.0));
+    options.effort = 9;
+    options.time = Some(Duration::from_millis(600));
+    let encoded = encode(&pixels, &options).unwrap();
+    // Effort 9 takes half a minute; the margin is for a busy machine.
+    assert!(encoded.report.seconds < 12.0, "{} s", encoded.report.seconds);
+    assert_fills(&encoded, 400 * 300 * 3 / 50, "600 ms");
+    assert!(encoded.report.psnr.is_finite());
 }
 
 #[test]
@@ -424,7 +397,7 @@ fn progress_increases_and_the_callback_can_cancel() {
 }
 
 #[test]
-fn tuning_is_perceptual_unless_a_psnr_or_another_recipe_is_requested() {
+fn tuning_is_perceptual_unless_a_psnr_is_requested() {
     let mut options = quick(Target::Bytes(600));
     assert_eq!(options.favoured(), Tune::Iq);
     // Otherwise, the flat half would be stored without loss.
@@ -443,8 +416,6 @@ fn tuning_is_perceptual_unless_a_psnr_or_another_recipe_is_requested() {
     options.tune = None;
     assert_eq!(options.favoured(), Tune::Psnr);
     options.target = Target::Auto;
-    options.recipe = Recipe::SmartSplat(Ablation::Colors);
-    assert_eq!(options.favoured(), Tune::Psnr);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use crate::waves::picture;
 use ssplat::report::SkipReason;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
-use ssplat::unstable::{Needs, Recipe, Trace};
+use ssplat::unstable::{Needs, Trace};
 use ssplat::{
     Backend, Blend, Channels, Detail, Encoded, Encoder, Error, Limits, Parameter, Pixels, Samples, Target, Thumbnail,
     Tune, Workers,
@@ -567,7 +567,6 @@ fn options_that_exclude_tiles_are_parameter_errors() {
     };
     refused("tiles", &|o| o.tiles = Some(0));
     refused("tiles", &|o| o.tiles = Some(100));
-    refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
     let small = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3), Some(128)));
     assert!(matches!(small, Err(Error::TooSmall { allowed: 3, .. })), "{small:?}");
 }

@@ -419,7 +419,6 @@ fn wrong_usage_exits_with_2() {
         (["--time", "0"], "--time"),
         (["--primitives", "0"], "--primitives"),
         (["--layout", "zip"], "zip"),
-        (["--recipe", "none"], "none"),
         (["--threads", "0"], "--threads"),
         (["--bytes", "1"], "a.png"),
     ] {

@@ -6,12 +6,13 @@ use std::io::Write as _;
 use std::time::Instant;
 
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Ablation, Needs, Recipe, Rung, metrics};
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::unstable::{Needs, Recipe, Rung, metrics};
 use ssplat::{Backend, Blend, Pixels, Result, Target, Tune};
 
 use super::args::BenchMethods;
 use super::{opened, page};
+use crate::smartsplat::Ablation;
 use ssplat_cli::failure::Failure;
 use ssplat_cli::progress::Bar;
 use ssplat_cli::sink::Sink;
@@ -29,7 +30,8 @@ struct Step {
 /// Returns all steps, from the paper's pipeline to that of ssplat. The last two are not part of the sequence; each
 /// changes one property of ssplat.
 fn steps() -> Vec<Step> {
-    let paper = Recipe::SmartSplat(Ablation::Colors);
+    let paper = Recipe::Other(&Ablation::Colors);
+    let started = Recipe::StartOf(&Ablation::Colors);
     let step = |name, recipe, rung| Step {
         name,
         recipe,
@@ -45,11 +47,14 @@ fn steps() -> Vec<Step> {
             ..step("SmartSplat, nearest integers in records of 7 bytes, zstd", paper, Rung::Fit)
         },
         Step { blend: Blend::Sum, ..step("entropy coder and its quantizer", paper, Rung::Fit) },
-        Step { blend: Blend::Sum, ..step("descent over the integers: `--recipe smartsplat`", paper, Rung::Descent) },
+        Step {
+            blend: Blend::Sum,
+            ..step("descent over the integers: SmartSplat with this format", paper, Rung::Descent)
+        },
         step("normalized blend", paper, Rung::Descent),
-        step("squared error, steps in each Gaussian's own frame", Recipe::Ssplat, Rung::Optimizer),
-        step("sampled rows", Recipe::Ssplat, Rung::Sampling),
-        step("start by detail, along edges", Recipe::Ssplat, Rung::Start),
+        step("squared error, steps in each Gaussian's own frame", started, Rung::Optimizer),
+        step("sampled rows", started, Rung::Sampling),
+        step("start by detail, along edges", Recipe::Ssplat, Rung::Sampling),
         step("relocation", Recipe::Ssplat, Rung::Relocation),
         step("price of size: ssplat, `--tune psnr`", Recipe::Ssplat, Rung::Price),
         Step { tune: Tune::Iq, ..step("ssplat, `--tune iq`", Recipe::Ssplat, Rung::Price) },
@@ -219,7 +224,7 @@ mod tests {
         (plain.tune, plain.backend) = (Some(Tune::Psnr), Backend::Cpu);
         let encoded = |options: &EncodeOptions| ssplat::unstable::encode(&pixels, options).unwrap().bytes;
         assert_eq!(encoded(&plain), files[LADDER - 1]);
-        plain.recipe = Recipe::SmartSplat(Ablation::Colors);
+        plain.recipe = Recipe::Other(&Ablation::Colors);
         assert_eq!(encoded(&plain), files[2]);
     }
 }

@@ -1,8 +1,9 @@
 //! One method on one picture: its float result and its file.
 
 use crate::recipes::{self, Counted, Method};
-use ssplat::unstable::{Ablation, Needs, Outside, Recipe, Trace, metrics};
+use crate::smartsplat::Ablation;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::unstable::{Needs, Outside, Recipe, Trace, metrics};
 use ssplat::{Encoder, Pixels, Result, Target};
 
 /// Method that is measured.
@@ -97,7 +98,7 @@ impl Contender {
         let mut measured = Measured::default();
         let done = match self {
             Contender::Ssplat => own(pixels, setup, Recipe::Ssplat, &mut measured),
-            Contender::SmartSplat => own(pixels, setup, Recipe::SmartSplat(Ablation::Colors), &mut measured),
+            Contender::SmartSplat => own(pixels, setup, Recipe::Other(&Ablation::Colors), &mut measured),
             Contender::Published { method, rate } => published(pixels, setup, method, rate, &mut measured),
         };
         if let Err(error) = done {

@@ -28,7 +28,7 @@ use super::estimate;
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
-use ssplat::unstable::fit::model::objective::loss::Loss;
+use crate::loss::Loss;
 use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
 use ssplat::unstable::gaussian::{Blend, Gaussian};

@@ -8,7 +8,9 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Ablation, Recipe, Trace};
+use ssplat::unstable::{Recipe, Trace};
+
+use crate::smartsplat::Ablation;
 use ssplat::{Backend, Blend, Limits, Pixels, Rect, Target, Tune};
 use ssplat::{Renderer, View};
 
@@ -43,7 +45,8 @@ pub fn backend_name(backend: Backend) -> &'static str {
 pub struct Setup {
     pub ratio: f64,
     pub effort: u8,
-    pub recipe: Recipe,
+    /// SmartSplat's method with these parts, instead of ours.
+    pub smartsplat: Option<&'static Ablation>,
     pub blend: Option<Blend>,
     pub backend: Backend,
 }
@@ -51,16 +54,16 @@ pub struct Setup {
 impl Setup {
     /// Returns the name of the setup in a chart and in the cache.
     pub fn recipe_name(&self) -> String {
-        let recipe = match self.recipe {
-            Recipe::SmartSplat(Ablation::Random) => "SmartSplat: random start",
-            Recipe::SmartSplat(Ablation::Means) => "SmartSplat: + means",
-            Recipe::SmartSplat(Ablation::Scales) => "SmartSplat: + scales",
-            Recipe::SmartSplat(Ablation::Colors) => "SmartSplat: + colours (whole)",
-            _ => "ssplat",
+        let recipe = match self.smartsplat {
+            None => "ssplat",
+            Some(Ablation::Random) => "SmartSplat: random start",
+            Some(Ablation::Means) => "SmartSplat: + means",
+            Some(Ablation::Scales) => "SmartSplat: + scales",
+            Some(Ablation::Colors) => "SmartSplat: + colours (whole)",
         };
-        match (self.recipe, self.blend) {
-            (Recipe::Ssplat, Some(Blend::Sum)) => format!("{recipe}, sum"),
-            (Recipe::SmartSplat(_), Some(Blend::Normalized)) => format!("{recipe}, normalized"),
+        match (self.smartsplat, self.blend) {
+            (None, Some(Blend::Sum)) => format!("{recipe}, sum"),
+            (Some(_), Some(Blend::Normalized)) => format!("{recipe}, normalized"),
             _ => recipe.into(),
         }
     }
@@ -77,7 +80,7 @@ impl Setup {
         let mut o = EncodeOptions::default();
         o.target = Target::Ratio(self.ratio);
         o.effort = self.effort;
-        o.recipe = self.recipe;
+        o.recipe = self.smartsplat.map_or(Recipe::Ssplat, |parts| Recipe::Other(parts));
         o.blend = self.blend;
         o.backend = self.backend;
         o.layout = Layout::Coded;

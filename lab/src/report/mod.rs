@@ -15,9 +15,9 @@ mod tables;
 use std::path::Path;
 
 use serde_json::{Value, json};
-use ssplat::unstable::{Ablation, Recipe};
 use ssplat::{Backend, Blend, Channels, Pixels, Samples};
 
+use crate::smartsplat::Ablation;
 use args::{Codecs, Recipes};
 use cells::{Cell, Job, Setup, Subject};
 use codecs::Anchor;
@@ -101,23 +101,23 @@ fn middle<T: Copy>(list: &[T]) -> T {
 /// Returns the jobs to measure: ratios at the middle effort, efforts at the middle ratio, then recipes and backends at
 /// both.
 fn jobs(args: &args::Report, backends: &[Backend], subjects: usize, (ratio, effort): (f64, u8)) -> Vec<Job> {
-    let own = Setup { ratio, effort, recipe: Recipe::Ssplat, blend: None, backend: Backend::Auto };
+    let own = Setup { ratio, effort, smartsplat: None, blend: None, backend: Backend::Auto };
     let mut setups = vec![own];
     setups.extend(args.ratios.iter().map(|&ratio| Setup { ratio, ..own }));
     setups.extend(args.efforts.iter().map(|&effort| Setup { effort, ..own }));
     setups.push(Setup { blend: Some(Blend::Sum), ..own });
     if args.recipes == Recipes::All {
-        for step in [Ablation::Random, Ablation::Means, Ablation::Scales, Ablation::Colors] {
-            setups.push(Setup { recipe: Recipe::SmartSplat(step), ..own });
+        let steps: [&Ablation; 4] = [&Ablation::Random, &Ablation::Means, &Ablation::Scales, &Ablation::Colors];
+        for step in steps {
+            setups.push(Setup { smartsplat: Some(step), ..own });
         }
-        let paper = Recipe::SmartSplat(Ablation::Colors);
-        setups.push(Setup { recipe: paper, blend: Some(Blend::Normalized), ..own });
+        setups.push(Setup { smartsplat: Some(&Ablation::Colors), blend: Some(Blend::Normalized), ..own });
     }
     setups.extend(backends.iter().map(|&backend| Setup { backend, ..own }));
     let with_smartsplat = args.smartsplat_images.unwrap_or(subjects);
     let mut jobs: Vec<Job> = Vec::new();
     for job in (0..subjects).flat_map(|subject| setups.iter().map(move |&setup| Job { subject, setup })) {
-        let is_wanted = job.setup.recipe == Recipe::Ssplat || job.subject < with_smartsplat;
+        let is_wanted = job.setup.smartsplat.is_none() || job.subject < with_smartsplat;
         if is_wanted && !jobs.contains(&job) {
             jobs.push(job);
         }

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use ssplat::Backend;
-use ssplat::unstable::Recipe;
 
 use super::cells::{Cell, Subject};
 use super::chart::{Axis, Bars, Chart, Length, Scale, Series, Stroke, escape, number};
@@ -68,7 +67,7 @@ impl Contents<'_> {
     fn ours(&self, subject: usize) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(move |c| {
             let s = c.job.setup;
-            let own = s.recipe == Recipe::Ssplat && s.blend.is_none() && s.backend == Backend::Auto;
+            let own = s.smartsplat.is_none() && s.blend.is_none() && s.backend == Backend::Auto;
             c.job.subject == subject && own && c.failed().is_none()
         })
     }

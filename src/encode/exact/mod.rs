@@ -32,7 +32,7 @@ use crate::bitstream::{self, to_bytes};
 use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
 use crate::metrics;
-use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Recipe, Thumbnail, Trace, Tune};
+use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Thumbnail, Trace, Tune};
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
@@ -168,7 +168,7 @@ fn may_choose(options: &EncodeOptions) -> bool {
     options.layout == Layout::Coded
         && options.detail == Detail::Auto
         && options.needs == Needs::Measured
-        && options.recipe == Recipe::Ssplat
+        && options.recipe.is_own()
         && options.blend.is_none()
         && options.levels == 1
         && options.trace == Trace::Off

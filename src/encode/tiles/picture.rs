@@ -25,7 +25,7 @@ use crate::error::{Error, Result};
 use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Blend;
 use crate::instant::Instant;
-use crate::options::{Detail, EncodeOptions, Recipe};
+use crate::options::{Detail, EncodeOptions};
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
@@ -129,7 +129,7 @@ fn narrow_range(
 pub(in crate::encode) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |problem: &str| Err(Error::Parameter { parameter: Parameter::Tiles, problem: problem.into() });
     match options {
-        o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
+        o if !o.recipe.is_own() => bad("another method cannot fit in tiles"),
         _ => Ok(()),
     }
 }

@@ -8,7 +8,7 @@ use crate::strict_math::StrictMath;
 
 /// Bounds on the parameters, enforced after every step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Bounds {
+pub struct Bounds {
     pub size: [f32; 2],
     pub min_log_scale: f32,
     pub max_log_scale: f32,
@@ -16,7 +16,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    pub(crate) fn new(width: u32, height: u32) -> Self {
+    pub fn new(width: u32, height: u32) -> Self {
         let size = [width as f32, height as f32];
         Bounds {
             size,
@@ -27,7 +27,7 @@ impl Bounds {
     }
 
     /// Clamps `p` to the bounds.
-    pub(crate) fn apply(&self, p: &mut Primitive) {
+    pub fn apply(&self, p: &mut Primitive) {
         for (m, s) in p.mean.iter_mut().zip(self.size) {
             *m = m.clamp(0.0, s);
         }

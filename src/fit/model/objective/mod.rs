@@ -1,8 +1,6 @@
 //! The objective of a fit: the target as planes at several sizes, and the weight of each pixel.
 
 pub(crate) mod blur;
-#[cfg(feature = "smartsplat")]
-pub mod loss;
 pub(crate) mod masking;
 pub mod planes;
 pub(crate) mod reduced;

@@ -171,7 +171,7 @@ impl Planes {
 
     /// Returns the weights of the errors in row `y` without those of the tuning.
     #[inline(always)]
-    pub(crate) fn untuned_weights(&self, y: u32) -> RowWeights<'_> {
+    pub fn untuned_weights(&self, y: u32) -> RowWeights<'_> {
         let opacity = self.opacity.map(|a| (a, &self.row(y)[a * self.stride..][..self.stride]));
         RowWeights { opacity, amplitude: None, channels: [1.0; 4] }
     }

@@ -1,12 +1,12 @@
-//! The loss of SmartSplat and its gradient: absolute error and structural similarity.
+//! The loss of several published methods and its gradient: absolute error and structural similarity.
 
-use crate::fit::model::drawing::field::Field;
-use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::problem::Problem;
-use crate::gaussian::{Blend, EPSILON};
-use crate::parallel;
-use crate::simd::{self, LANES, Simd, Task};
-use crate::strict_math::StrictMath;
+use ssplat::Blend;
+use ssplat::unstable::fit::model::drawing::field::Field;
+use ssplat::unstable::fit::model::objective::planes::Planes;
+use ssplat::unstable::fit::model::problem::Problem;
+use ssplat::unstable::gaussian::EPSILON;
+use ssplat::unstable::parallel;
+use ssplat::unstable::simd::{self, LANES, Simd, Task};
 
 /// Taps of the SSIM window.
 const TAPS: usize = 11;
@@ -47,8 +47,7 @@ struct Buffers {
 impl Loss {
     /// Creates the loss. `absolute` is the weight of the absolute error, `0..=1`.
     pub fn new(target: &Planes, absolute: f32) -> Self {
-        let raw: [f32; TAPS] =
-            std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).strict_exp());
+        let raw: [f32; TAPS] = std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
         let sum: f32 = raw.iter().sum();
         let window = raw.map(|v| v / sum);
         let width = target.width as usize;
@@ -223,8 +222,9 @@ impl Task for Taps<'_> {
 
 #[cfg(test)]
 mod tests {
+    use ssplat::{Channels, Pixels, Samples};
+
     use super::*;
-    use crate::{Channels, Pixels, Samples};
 
     #[test]
     fn the_gradient_of_ssim_matches_finite_differences() {

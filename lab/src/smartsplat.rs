@@ -8,20 +8,18 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rstar::RTree;
 
-use crate::error::Result;
-use crate::fit::engine::{StaticSnapshot, Watcher};
-use crate::fit::job::Job;
-use crate::fit::model::adam::Bounds;
-use crate::fit::model::drawing::field::{Field, Gradient, Output};
-use crate::fit::model::drawing::project::{self, Primitive};
-use crate::fit::model::objective::loss::Loss;
-use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::rows::RowSet;
-use crate::fit::model::problem::Problem;
-use crate::fit::state::State;
-use crate::instant::Instant;
-use crate::options::Ablation;
-use crate::parallel;
+use ssplat::Result;
+use ssplat::unstable::fit::engine::{StaticSnapshot, Watcher};
+use ssplat::unstable::fit::method::{FitMethod, MethodJob};
+use ssplat::unstable::fit::model::adam::Bounds;
+use ssplat::unstable::fit::model::drawing::field::{Field, Gradient, Output};
+use ssplat::unstable::fit::model::drawing::project::{self, Primitive};
+use ssplat::unstable::fit::model::objective::planes::Planes;
+use ssplat::unstable::fit::model::objective::rows::RowSet;
+use ssplat::unstable::fit::model::problem::Problem;
+use ssplat::unstable::parallel;
+
+use crate::loss::Loss;
 
 /// Share of the primitives that follow gradient and variance. The rest is distributed evenly.
 const GUIDED_SHARE: f64 = 0.7;
@@ -51,34 +49,52 @@ const BETA2: f32 = 0.999;
 /// seven bytes per primitive; the actual number of bytes is known only for fitted primitives.
 const RECOUNT_AT: f32 = 0.25;
 
-/// Fits like SmartSplat. `watcher` corrects the number of primitives once.
-pub(crate) fn fit(job: &Job<'_>, parts: Ablation, watcher: &mut dyn Watcher) -> Result<State> {
-    let Job { problem, count, plan } = *job;
-    let Problem { scene, target } = problem;
-    let bounds = Bounds::new(target.width, target.height);
-    let mut loss = Loss::new(target, ABSOLUTE_WEIGHT);
-    let mut run = Run::new(target, count, parts, plan.seed, &bounds);
-    let mut is_recounted = false;
-    let start = Instant::now();
-    for iteration in 0..plan.iterations {
-        // With a time budget, the clock may be ahead of the iterations.
-        let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(start));
-        if done >= 1.0 || run.state.primitives.is_empty() {
-            break;
-        }
-        let project = || project::all(&run.state.primitives, scene.height);
-        watcher.step(done, &mut StaticSnapshot { problem: &problem, project: &project })?;
-        if !is_recounted && done >= RECOUNT_AT {
-            is_recounted = true;
-            let wanted = watcher.recount(&run.state.primitives)?;
-            if wanted != run.state.primitives.len() {
-                run = Run::new(target, wanted, parts, plan.seed, &bounds);
-            }
-        }
-        run.step(&problem, &mut loss, &bounds);
+/// Which parts of SmartSplat's initialization are used, in the order of the paper's ablation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Ablation {
+    /// Random means, uniform scales, random colours.
+    Random,
+    /// Means by feature-guided and exclusion-based sampling.
+    Means,
+    /// Scales by the paper's rule as well.
+    Scales,
+    /// Gaussian-weighted median colours as well: the whole initialization.
+    Colors,
+}
+
+impl FitMethod for Ablation {
+    fn start(&self, job: &MethodJob<'_>) -> Vec<Primitive> {
+        initial(job.problem.target, job.count, *self, &mut Pcg64Mcg::seed_from_u64(job.seed))
     }
-    run.keep_best(&problem);
-    Ok(State::new(run.best.primitives, bounds))
+
+    /// Fits like SmartSplat. `watcher` corrects the number of primitives once.
+    fn fit(&self, job: &MethodJob<'_>, watcher: &mut dyn Watcher) -> Result<Vec<Primitive>> {
+        let MethodJob { problem, count, iterations, seed, spent } = *job;
+        let Problem { scene, target } = problem;
+        let bounds = Bounds::new(target.width, target.height);
+        let mut loss = Loss::new(target, ABSOLUTE_WEIGHT);
+        let mut run = Run::new(target, count, *self, seed, &bounds);
+        let mut is_recounted = false;
+        for iteration in 0..iterations {
+            // With a time budget, the clock may be ahead of the iterations.
+            let done = (iteration as f32 / iterations as f32).max(spent());
+            if done >= 1.0 || run.state.primitives.is_empty() {
+                break;
+            }
+            let project = || project::all(&run.state.primitives, scene.height);
+            watcher.step(done, &mut StaticSnapshot { problem: &problem, project: &project })?;
+            if !is_recounted && done >= RECOUNT_AT {
+                is_recounted = true;
+                let wanted = watcher.recount(&run.state.primitives)?;
+                if wanted != run.state.primitives.len() {
+                    run = Run::new(target, wanted, *self, seed, &bounds);
+                }
+            }
+            run.step(&problem, &mut loss, &bounds);
+        }
+        run.keep_best(&problem);
+        Ok(run.best.primitives)
+    }
 }
 
 /// One fit from one initialization.
@@ -189,7 +205,7 @@ fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], cor
 }
 
 /// Returns the initial primitives, with the parts of the initialization in `parts`.
-pub(super) fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
+fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
     // A third of the radius at which `count` circles would cover the picture, because the support is three scales.
     let base = ((area / (std::f64::consts::PI * count.max(1) as f64)).sqrt() / 3.0) as f32;
@@ -408,14 +424,14 @@ fn median_color(target: &Planes, place: &Placement) -> [f32; 4] {
 
 #[cfg(test)]
 mod tests {
+    use ssplat::unstable::bitstream;
+    use ssplat::unstable::fit::engine::Snapshot;
+    use ssplat::unstable::fit::model::drawing::field::float_error;
+    use ssplat::unstable::fit::model::problem::Scene;
+    use ssplat::unstable::{EncodeOptions, Recipe, encode};
+    use ssplat::{Backend, Blend, Channels, Limits, Pixels, Samples, Target, Tune};
+
     use super::*;
-    use crate::effort::EffortSettings;
-    use crate::fit::engine::Snapshot;
-    use crate::fit::model::drawing::field::float_error;
-    use crate::fit::model::problem::Scene;
-    use crate::fit::plan::Plan;
-    use crate::gaussian::Blend;
-    use crate::{Channels, Pixels, Samples};
 
     const BASE: f32 = 2.0;
 
@@ -515,17 +531,80 @@ mod tests {
         let target = half_busy(48, 40);
         for blend in [Blend::Sum, Blend::Normalized] {
             let scene = Scene { width: 48, height: 40, blend, background: [0.0; 4] };
-            let plan = Plan::new(&EffortSettings::from_preset(1).fit, 40, 48 * 40, None, 3);
             let problem = Problem { scene, target: &target };
             let mut seen = Errors(Vec::new());
-            let state = fit(&Job { problem, count: 40, plan: &plan }, Ablation::Colors, &mut seen);
+            let job = MethodJob { problem, count: 40, iterations: 150, seed: 3, spent: &|| 0.0 };
+            let primitives = Ablation::Colors.fit(&job, &mut seen).unwrap();
             let seen = seen.0;
             let error = |p: &[Primitive]| float_error(&problem, p);
-            let end = error(&state.unwrap().primitives);
+            let end = error(&primitives);
             assert!(end < 0.95 * seen[0], "{blend:?}: {} {end}", seen[0]);
             let best = seen.iter().copied().fold(f64::INFINITY, f64::min);
             // Sorting the primitives changes the order of summation.
             assert!(end <= best * (1.0 + 1e-5), "{blend:?}: {end} {best}");
         }
+    }
+
+    /// Returns a picture of waves and squares.
+    fn picture(width: u32, height: u32) -> Pixels {
+        let wave = |x: u32, y: u32, k: u32| (x as f32 * 0.3 + k as f32).sin() * (y as f32 * 0.23).cos();
+        let square = |x: u32, y: u32| if (x / 16 + y / 12).is_multiple_of(2) { 30.0 } else { 0.0 };
+        let value = |x, y, k| (128.0 + 70.0 * wave(x, y, k) + square(x, y)) as u8;
+        let samples = (0..width * height * 3).map(|i| value(i / 3 % width, i / 3 / width, i % 3)).collect();
+        Pixels::new(width, height, Channels::Rgb, Samples::U8(samples)).unwrap()
+    }
+
+    fn options(recipe: Recipe) -> EncodeOptions {
+        let mut options = EncodeOptions::default();
+        (options.recipe, options.effort, options.target) = (recipe, 1, Target::Bytes(600));
+        options
+    }
+
+    #[test]
+    fn all_parts_have_an_effect_and_fill_the_size() {
+        let pixels = picture(96, 64);
+        let mut all = Vec::new();
+        let parts: [&'static Ablation; 4] = [&Ablation::Random, &Ablation::Means, &Ablation::Scales, &Ablation::Colors];
+        for parts in parts {
+            let encoded = encode(&pixels, &options(Recipe::Other(parts))).unwrap();
+            assert!((540..=600).contains(&encoded.bytes.len()), "{parts:?} {}", encoded.bytes.len());
+            let file = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+            assert_eq!(file.blend, Blend::Sum);
+            all.push(encoded.bytes);
+        }
+        all.sort();
+        all.dedup();
+        assert_eq!(all.len(), 4);
+    }
+
+    #[test]
+    fn bytes_do_not_depend_on_the_number_of_threads() {
+        let pixels = picture(64, 100);
+        let with = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| encode(&pixels, &options(Recipe::Other(&Ablation::Colors))).unwrap().bytes)
+        };
+        assert!(with(1) == with(2));
+    }
+
+    #[test]
+    fn a_time_budget_ends_the_fit() {
+        let mut options = options(Recipe::Other(&Ablation::Colors));
+        options.effort = 9;
+        options.time = Some(std::time::Duration::from_millis(300));
+        let encoded = encode(&picture(400, 300), &options).unwrap();
+        assert!(encoded.bytes.len() <= 600 && encoded.report.psnr.is_finite());
+    }
+
+    #[test]
+    fn another_method_is_tuned_to_squared_error_and_works_neither_in_tiles_nor_on_a_gpu() {
+        let mut options = options(Recipe::Other(&Ablation::Colors));
+        assert_eq!(options.favoured(), Tune::Psnr);
+        options.tiles = Some(128);
+        let refused = encode(&picture(200, 32), &options).unwrap_err();
+        assert!(refused.to_string().contains("another method"), "{refused}");
+        options.tiles = None;
+        options.backend = Backend::Gpu;
+        assert!(encode(&picture(32, 32), &options).is_err());
     }
 }
