@@ -15,9 +15,16 @@ const defaultUrl = () => `${import.meta.env?.BASE_URL ?? "/"}ssplat-service-work
 
 const isSsplat = url => /\.ssplat(?=$|[\s?#"'),])/.test(url)
 
-// Makes the browser load what it could not show. An attribute that is set to its own value starts over, but a style must change.
+// Makes the browser load again what an attribute names. Firefox ignores some attributes that are set to their own value.
+function reset(element, name) {
+  const value = element.getAttribute(name)
+  element.removeAttribute(name)
+  element.setAttribute(name, value)
+}
+
+// Makes the browser load what it could not show.
 function retry(element) {
-  for (const name of ["src", "srcset", "href", "poster"]) if (isSsplat(element.getAttribute(name) ?? "")) element.setAttribute(name, element.getAttribute(name))
+  for (const name of ["src", "srcset", "href", "poster"]) if (isSsplat(element.getAttribute(name) ?? "")) reset(element, name)
 }
 
 // The same for style rules, and for elements with a style.
@@ -38,10 +45,15 @@ function retryAll() {
   for (const img of document.images) {
     if (!isSsplat(img.currentSrc || `${img.src} ${img.srcset}`) || img.complete && img.naturalWidth) continue
     // Within <picture>, its own attributes may name another file.
-    for (const name of ["src", "srcset"]) if (img.hasAttribute(name)) img.setAttribute(name, img.getAttribute(name))
+    for (const name of ["src", "srcset"]) if (img.hasAttribute(name)) reset(img, name)
   }
   document.querySelectorAll("input[type=image], image, video[poster]").forEach(retry)
   retryStyles(document.querySelectorAll("[style*='.ssplat']"))
+  retrySheets()
+}
+
+// The same for the style sheets of the page.
+function retrySheets() {
   for (const sheet of [...document.styleSheets, ...document.adoptedStyleSheets ?? []])
     try {
       retryStyles(sheet.cssRules)
@@ -62,7 +74,11 @@ export async function registerSsplat({ url = defaultUrl(), scope, module = modul
   }
   const controlled = new Promise(resolve => container.addEventListener("controllerchange", resolve, { once: true }))
   const wasControlled = container.controller, { active, waiting, installing, scope: pages } = await registration
-  if (wasControlled) return true
+  if (wasControlled) {
+    // Firefox keeps the failures of a style sheet for later pages with the same one.
+    if (CSS.supports("-moz-appearance: none")) retrySheets()
+    return true
+  }
   const worker = active ?? waiting ?? installing
   await new Promise(resolve => {
     const look = () => { if (["activating", "activated", "redundant"].includes(worker.state)) resolve() }

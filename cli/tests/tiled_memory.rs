@@ -16,6 +16,7 @@ const HEIGHT: u32 = 1024;
 const MOST: i64 = 64 << 20;
 
 #[test]
+#[ignore = "takes minutes; .ci/slow runs it"]
 fn tiles_bound_the_memory_of_an_encode() {
     let planes = i64::from(WIDTH) * i64::from(HEIGHT) * 3 * 4;
     assert!(3 * MOST <= 2 * planes, "{planes}");

@@ -10,7 +10,7 @@ import { exif, profile, withSections } from "./sections.js"
 import { decode } from "../dist/ssplat.js"
 
 const root = new URL("../../", import.meta.url)
-const vector = name => new Uint8Array(readFileSync(new URL(`spec/vectors/valid/${name}/file.ssplat`, root)))
+export const vector = name => new Uint8Array(readFileSync(new URL(`spec/vectors/valid/${name}/file.ssplat`, root)))
 const patience = 60_000
 
 // An empty picture of another size.
@@ -51,18 +51,13 @@ importScripts("/ssplat-service-worker.js")
 addEventListener("install", event => event.waitUntil(skipWaiting()))`,
 }
 
-export async function test() {
-  const problems = []
-  let checks = 0
-  const check = (good, words) => {
-    checks++
-    if (!good) problems.push(words)
-  }
+// Serves the pages, the scripts and some files; a check may replace the `files`. `asked` are the requests, and `hold` is set to a promise to keep the
+// end of /slow.ssplat back.
+export async function serve() {
   const a = vector("coded-rgb"), png = readFileSync(new URL("tests/images/kodim15.png", root))
-  // The files of the server, which a check replaces, and the requests for them.
   const files = { "/a.ssplat": a, "/broken.ssplat": a.with(20, a[20] ^ 1), "/png.ssplat": png, "/text.ssplat": "<!doctype html>" }
   const asked = []
-  let held
+  const hold = { until: undefined }
   const server = createServer(async (request, response) => {
     const { pathname } = new URL(request.url, "http://localhost"), found = files[pathname]
     asked.push({ url: request.url, destination: request.headers["sec-fetch-dest"], range: request.headers.range })
@@ -73,7 +68,7 @@ export async function test() {
       if (pathname == "/slow.ssplat") {
         const file = vector("groups-divided")
         response.writeHead(200, headers).write(file.subarray(0, 3000))
-        await held
+        await hold.until
         return response.end(file.subarray(3000))
       }
       const body = found ?? scripts[pathname]?.() ?? readFileSync(new URL(`.${pathname}`, root))
@@ -84,12 +79,25 @@ export async function test() {
   })
   await new Promise(resolve => server.listen(0, resolve))
   const { port } = server.address(), origin = `http://127.0.0.1:${port}`
+  const close = () => {
+    server.closeAllConnections()
+    server.close()
+  }
+  return { files, asked, hold, port, origin, close }
+}
+
+export async function test() {
+  const problems = []
+  let checks = 0
+  const check = (good, words) => {
+    checks++
+    if (!good) problems.push(words)
+  }
+  const { files, asked, hold, port, origin, close: closeServer } = await serve()
+  const a = files["/a.ssplat"]
   const responses = []
   const browser = await chromium(({ method, params }) => { if (method == "Network.responseReceived") responses.push(params.response) })
-  if (!browser) {
-    server.close()
-    return
-  }
+  if (!browser) return closeServer()
   try {
     const until = async (page, expression) => {
       for (const end = Date.now() + patience; Date.now() < end; await new Promise(r => setTimeout(r, 50)))
@@ -171,7 +179,7 @@ export async function test() {
     const bytes = await page.evaluate(`fetch("/a.ssplat").then(r => r.arrayBuffer()).then(b => Array.from(new Uint8Array(b)))`)
     check(Buffer.compare(Buffer.from(bytes), Buffer.from(files["/a.ssplat"])) == 0, "a script does not receive the file")
     let release
-    held = new Promise(resolve => release = resolve)
+    hold.until = new Promise(resolve => release = resolve)
     await page.evaluate(`document.body.prepend(Object.assign(document.createElement("ssplat-img"), { id: "slow", src: "/slow.ssplat" }))`)
     check(await until(page, `!document.getElementById("slow").shadowRoot.querySelector("canvas").hidden`), "the element does not stream")
     check(!await page.evaluate(`document.getElementById("slow").complete`), "half a file is complete")
@@ -227,8 +235,7 @@ export async function test() {
     problems.push(error.stack)
   } finally {
     await browser.close()
-    server.closeAllConnections()
-    server.close()
+    closeServer()
   }
   return { problems, words: `${checks} promises` }
 }
