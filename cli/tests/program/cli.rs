@@ -1263,11 +1263,27 @@ fn completions_and_the_manual_contain_the_options() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         assert!(succeeds(ssplat(&[&"completions", &shell])).contains("skip-existing"), "{shell}");
     }
-    let man = succeeds(ssplat(&[&"man"]));
-    assert!(man.starts_with(".ie") || man.contains(".TH"), "{man}");
-    assert!(man.contains("auto\\-orient"), "{man}");
-    // It refers to no other page.
-    assert!(!man.contains("encode(1)"), "{man}");
+    let folder = Folder::new();
+    let pages = folder.path("man");
+    assert_eq!(succeeds(ssplat(&[&"man", &"--out-dir", &pages])), "");
+    let of = |name: &str| fs::read_to_string(pages.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    let program = of("ssplat.1");
+    assert!(program.contains(".TH ssplat 1") && program.contains(".SH \"EXIT STATUS\""), "{program}");
+    // The program's page names a page for each command, and each names the program's.
+    let named: Vec<&str> = program.lines().filter_map(|l| l.strip_prefix("ssplat\\-")?.strip_suffix("(1)")).collect();
+    assert_eq!(named.len(), fs::read_dir(&pages).unwrap().count() - 1, "{program}");
+    for name in named {
+        let page = of(&format!("ssplat-{name}.1"));
+        assert!(page.starts_with(&format!(".TH ssplat-{name} 1 \"\" \"ssplat ")), "{page}");
+        assert!(page.ends_with(".SH \"SEE ALSO\"\nssplat(1)\n"), "{page}");
+        assert_eq!(succeeds(ssplat(&[&"man", &name])), page);
+    }
+    assert_eq!(succeeds(ssplat(&[&"man"])), program);
+    let encode = of("ssplat-encode.1");
+    assert!(encode.contains("auto\\-orient") && encode.contains("<INPUT>... \\-\\-out\\-dir <DIR>"), "{encode}");
+    // Examples are not filled.
+    assert!(encode.contains(".SH EXAMPLES\n.nf\n  ssplat encode photo.jpg"), "{encode}");
+    fails(ssplat(&[&"man", &"encod"]), 2, "no command \"encod\"; the commands are encode, decode, ");
     let version = succeeds(ssplat(&[&"--version"]));
     assert!(version.starts_with(concat!("ssplat ", env!("CARGO_PKG_VERSION"))), "{version}");
 }
