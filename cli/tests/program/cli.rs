@@ -472,9 +472,13 @@ fn broken_files_exit_with_4_and_leave_nothing() {
     for (broken, message) in [
         (bytes[..bytes.len() - 1].to_vec(), ""),
         (bytes[..30].to_vec(), ""),
-        (Vec::new(), "cut off"),
+        (Vec::new(), "bad.ssplat: empty (0 bytes), not an ssplat file"),
         (flipped(bytes.len() - 10), "checksum"),
         (b"not an ssplat file at all".to_vec(), "magic"),
+        (b"\x89PNG\r\n\x1a\n".to_vec(), "not an ssplat file: it is a PNG picture"),
+        // The library looks at four bytes, which these pictures do not state their format in.
+        (b"RIFF\x24\0\0\0WEBPVP8L".to_vec(), "not an ssplat file: it is a WebP picture"),
+        (b"\0\0\0\x14ftypavif\0\0\0\0avif".to_vec(), "not an ssplat file: it is an AVIF picture"),
     ] {
         fs::write(&bad, broken).unwrap();
         fails(ssplat(&[&"decode", &bad, &out]), 4, "bad.ssplat");
@@ -891,7 +895,7 @@ fn messages_name_the_options_that_were_given() {
     fails(said, 3, "no/such/o.ssplat");
     let out = folder.path("o.ssplat");
     fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "a ratio of 1000000000 leaves 0 bytes");
-    fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: is empty");
+    fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: empty (0 bytes), not a picture");
     let avif = folder.path("a.avif");
     fs::write(&avif, b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf").unwrap();
     fails(ssplat(&[&"encode", &avif, &out]), 5, "avifdec");
