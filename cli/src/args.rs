@@ -10,7 +10,7 @@ use ssplat::unstable::{DEFAULT_QUALITY, EncodeOptions, Recipe};
 use ssplat::{Backend, Blend, Detail, HiddenColors, Layers, MetadataPolicy, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
-use crate::exchange::{csv, foreign};
+use crate::exchange::{foreign, parameters};
 use crate::failure::Failure;
 use crate::names;
 use crate::sink::{ReadOnly, Sink};
@@ -535,8 +535,8 @@ Examples:
 Means, scales and covariances are in pixels with pixel centres at +0.5, y down; rotations in radians, colours in \
 encoded sRGB values, 0 to 1. The .npz holds means, scales, rotations, covariances, colors, background, size, blend, \
 depth, layout and steps; the .csv holds the same as columns. Importing either restores the same integers. A .ply is \
-flat in z, and viewers render it by opacity, so it shows the Gaussians rather than the picture; an .svg has an ellipse \
-at one scale for each. Metadata is not exported.";
+flat in z, and viewers render it by opacity, so it shows the Gaussians rather than the picture; it can be imported as \
+well. An .svg has an ellipse at one scale for each. Metadata is not exported.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = EXPORT_EXAMPLES)]
@@ -554,8 +554,9 @@ const IMPORT_EXAMPLES: &str = "\
 Examples:
   ssplat import photo.npz photo.ssplat
   ssplat import fit.npz fit.ssplat --size 768x512 --bytes 20000
+  ssplat import points.ply fit.ssplat --size 768x512 --blend normalized
 
-Reads the files of `ssplat export`, archives with means, colors, and scales with rotations or covariances, and the \
+Reads the files of `ssplat export` except .svg, points of 3D Gaussian Splatting (.ply) that lie in one plane, archives with means, colors, and scales with rotations or covariances, and the \
 parameters of GaussianImage (_xyz, _cholesky or _scaling and _rotation, _features_dc) and Image-GS (xy, scale, rot, \
 feat), which do not state the size of the picture. These commands convert their checkpoints:
 ";
@@ -563,7 +564,7 @@ feat), which do not state the size of the picture. These commands convert their 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = format!("{IMPORT_EXAMPLES}\n{}", foreign::HOW))]
 pub struct Import {
-    /// An .npz or .csv file; - for standard input
+    /// An .npz, .csv or .ply file; - for standard input
     pub input: PathBuf,
     /// The .ssplat file to write; - for standard output
     pub output: PathBuf,
@@ -571,7 +572,7 @@ pub struct Import {
     #[arg(long, value_enum)]
     pub format: Option<ImportFormat>,
     /// Width and height of the picture in pixels [default: as stated in the input]
-    #[arg(long, value_name = "WxH", value_parser = csv::size)]
+    #[arg(long, value_name = "WxH", value_parser = parameters::size)]
     pub size: Option<[u32; 2]>,
     /// How the Gaussians blend [default: as stated in the input]
     #[arg(long, value_parser = names::blend())]
