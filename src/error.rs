@@ -269,7 +269,7 @@ impl fmt::Display for FormatError {
                 None => write!(f, "bad magic [{a:02x}, {b:02x}, {c:02x}, {d:02x}]"),
             },
             FormatError::Truncated { what, offset } => write!(f, "{what} is cut off at byte {offset}"),
-            FormatError::CutOff { bytes: 0, .. } => write!(f, "empty"),
+            FormatError::CutOff { bytes: 0, .. } => write!(f, "empty (0 bytes), not an ssplat file"),
             FormatError::CutOff { bytes, of: Some(of), .. } => write!(f, "cut off after {bytes} of {of} bytes"),
             FormatError::CutOff { bytes, of: None, .. } => write!(f, "cut off after {bytes} bytes"),
             FormatError::Checksum { what, stored, computed } => {
@@ -389,6 +389,8 @@ mod tests {
         assert_eq!(told(b"\x89PNG"), "not an ssplat file: it is a PNG picture");
         assert_eq!(told(b"\n<!d"), "not an ssplat file: it is HTML or XML; is the path right?");
         assert_eq!(told(b"\x09SSP"), "not a valid ssplat file: bad magic [09, 53, 53, 50]");
+        let empty = FormatError::CutOff { bytes: 0, of: None, partial: false };
+        assert_eq!(Error::from(empty).to_string(), "the file is empty (0 bytes), not an ssplat file");
         let name = *b"Newx";
         assert_eq!(FormatError::UnknownCriticalSection { name }.to_string(), "unknown critical section \"Newx\"");
     }

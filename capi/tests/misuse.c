@@ -73,6 +73,7 @@ static void closed_decoders(ssplat_decoder *decoder)
     ssplat_missing missing;
     size_t length;
     uint32_t side;
+    char text[100];
     CHECK(ssplat_decoder_info(decoder, &info) == SSPLAT_STATUS_CLOSED);
     CHECK(ssplat_decoder_metadata(decoder, 0, NULL, 0, &length) == SSPLAT_STATUS_CLOSED);
     CHECK(ssplat_decoder_preload(decoder) == SSPLAT_STATUS_CLOSED);
@@ -90,6 +91,8 @@ static void closed_decoders(ssplat_decoder *decoder)
     CHECK(ssplat_decoder_open_memory(decoder, NULL, 5) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_memory(decoder, "x", SIZE_MAX) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_memory(decoder, NULL, 0) == SSPLAT_STATUS_TRUNCATED);
+    CHECK(ssplat_decoder_message(decoder, text, sizeof text) > 0);
+    CHECK(!strcmp(text, "the file is empty (0 bytes), not an ssplat file"));
     CHECK(ssplat_decoder_open_memory(decoder, "not a picture at all, but text", 30) == SSPLAT_STATUS_FORMAT);
     CHECK(ssplat_decoder_open_file(decoder, NULL) == SSPLAT_STATUS_PARAMETER);
     CHECK(ssplat_decoder_open_file(decoder, "/nowhere/to/be/found.ssplat") == SSPLAT_STATUS_IO);

@@ -10,7 +10,7 @@ use ssplat::unstable::{DEFAULT_QUALITY, EncodeOptions};
 use ssplat::{Backend, Blend, Detail, HiddenColors, Layers, MetadataPolicy, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
-use crate::exchange::{csv, foreign};
+use crate::exchange::{foreign, parameters};
 use crate::failure::Failure;
 use crate::names;
 use crate::sink::{ReadOnly, Sink};
@@ -30,11 +30,12 @@ pub struct Args {
 const VERSION: &str =
     if cfg!(feature = "gpu") { concat!(env!("CARGO_PKG_VERSION"), " (with GPU)") } else { env!("CARGO_PKG_VERSION") };
 
+// Texts after the options: clap wraps them, so each paragraph is one line. Lines that begin with spaces are examples,
+// which fit into 80 columns.
 const EXIT_STATUS: &str = "\
-Exit status: 0 success, 2 wrong usage, 3 reading or writing failed, 4 broken file,
-5 unsupported format or version, 6 file beyond the limits, 1 anything else. A command
-that fails leaves no output file. With several inputs, the outputs of the others stay,
-and the status is that of the failures, or 1 if they differ.";
+Exit status: 0 success, 2 wrong usage, 3 reading or writing failed, 4 broken file, 5 unsupported format or version, 6 \
+file beyond the limits, 1 anything else. A command that fails leaves no output file. With several inputs, the outputs \
+of the others stay, and the status is that of the failures, or 1 if they differ.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -58,8 +59,8 @@ pub enum Command {
     Completions(Completions),
     /// List the formats that this build reads and writes
     Formats,
-    /// Print the manual page
-    Man,
+    /// Print a manual page, or write all of them
+    Man(Man),
 }
 
 const ENCODE_USAGE: &str = "\
@@ -72,28 +73,26 @@ ssplat decode [OPTIONS] <INPUT> <OUTPUT>
 
 const ENCODE_EXAMPLES: &str = "\
 Examples:
-  ssplat encode photo.jpg photo.ssplat                        at the default quality of 70
-  ssplat encode photo.jpg photo.ssplat -q 85                  a better picture in a larger file
-  ssplat encode photo.png photo.ssplat --bytes 300            a placeholder
+  ssplat encode photo.jpg photo.ssplat                 at the default quality
+  ssplat encode photo.jpg photo.ssplat -q 85           better, and larger
+  ssplat encode photo.png photo.ssplat --bytes 300     a placeholder
   ssplat encode photo.png photo.ssplat --ratio 200 --effort 9
-  ssplat encode photo.png photo.ssplat --preview result.png   also decode and measure
+  ssplat encode photo.png photo.ssplat --preview result.png    with measures
   ssplat encode photo.jpg photo.ssplat --max-side 1920 --keep-times
-  ssplat encode *.jpg scans --recursive --out-dir small --skip-existing --skip-larger
+  ssplat encode *.jpg scans --recursive --out-dir small --update --skip-larger
   cat photo.png | ssplat encode - - > photo.ssplat
 
-With --out-dir, all paths are inputs, and folders stand for their files. Small pictures are encoded
-in parallel, a picture that fails does not stop the others, and with --skip-existing a second run
-resumes where the first one stopped; with --update, it also replaces outputs that are older than
-their inputs. anim.gif becomes anim.ssplat, or anim.gif.ssplat if there is an
-anim.webp as well.
+With --out-dir, all paths are inputs, and folders stand for their files. Small pictures are encoded in parallel, a \
+picture that fails does not stop the others, and with --skip-existing a second run resumes where the first one \
+stopped; with --update, it also replaces outputs that are older than their inputs. anim.gif becomes anim.ssplat, or \
+anim.gif.ssplat if there is an anim.webp as well.
 
-The file keeps the orientation, unless --auto-orient applies it to the pixels. Samples in 32-bit floats
-are clamped to 0..1 and stored with 16 bits. Parts of the input that are lost (most of an EXIF block,
-XMP, further frames) are reported on standard error.
+The file keeps the orientation, unless --auto-orient applies it to the pixels. Samples in 32-bit floats are clamped to \
+0..1 and stored with 16 bits. Parts of the input that are lost (most of an EXIF block, XMP, further frames) are \
+reported on standard error.
 
-If neither size nor quality is given, the quality is 70. Where the picture without loss takes no more
-bytes than the quality, it is stored without loss, and a note says so. A size that is given is met, or
-the command fails.";
+If neither size nor quality is given, the quality is 70. Where the picture without loss takes no more bytes than the \
+quality, it is stored without loss, and a note says so. A size that is given is met, or the command fails.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = ENCODE_EXAMPLES, override_usage = ENCODE_USAGE)]
@@ -315,7 +314,7 @@ impl Encode {
 const DECODE_EXAMPLES: &str = "\
 Examples:
   ssplat decode photo.ssplat photo.png
-  ssplat decode photo.ssplat thumbnail.png --thumbnail 256    from the thumbnail in the file
+  ssplat decode photo.ssplat small.png --thumbnail 256    from the thumbnail
   ssplat decode photo.ssplat smaller.png --width 1000
   ssplat decode photo.ssplat detail.png --region 1000,800,512,512 --scale 2
   ssplat decode photo.ssplat - --format ppm | pnmtojpeg > photo.jpg
@@ -400,12 +399,12 @@ pub struct Info {
 
 const PLACEHOLDER_EXAMPLES: &str = "\
 Examples:
-  ssplat placeholder photo.jpg                                at most 300 bytes, as base64
+  ssplat placeholder photo.jpg                    at most 300 bytes, as base64
   ssplat placeholder photo.jpg --bytes 100 --format uri
-  ssplat placeholder photo.jpg --format html --alt \"A lighthouse\" --src photo.ssplat
+  ssplat placeholder photo.jpg --format html --alt Lighthouse --src photo.ssplat
 
-web/placeholder.js renders such a file without WebAssembly; web/ssplat-img.js has the element <ssplat-img>. The
-pixels are rotated as the EXIF block says. Profile and EXIF block are left out.";
+web/placeholder.js renders such a file without WebAssembly; web/ssplat-img.js has the element <ssplat-img>. The pixels \
+are rotated as the EXIF block says. Profile and EXIF block are left out.";
 
 /// Output format of `ssplat placeholder`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -443,12 +442,12 @@ pub struct Placeholder {
 const VIEW_EXAMPLES: &str = "\
 Examples:
   ssplat view photo.ssplat                       until Ctrl-C
-  ssplat view                                    encode pictures in the browser, with sliders for size and effort
+  ssplat view                                    encode in the browser
   ssplat view photo.ssplat --original photo.png  with a slider between the two
-  ssplat view photo.ssplat --html photo.html     one self-contained page, to send to someone
+  ssplat view photo.ssplat --html photo.html     one self-contained page
 
-The page is served to this machine only, on a free port, with nothing but the viewer and
-the files named here. The files are read once; run the command again to see changes.";
+The page is served to this machine only, on a free port, with nothing but the viewer and the files named here. The \
+files are read once; run the command again to see changes.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = VIEW_EXAMPLES)]
@@ -473,7 +472,7 @@ pub struct View {
 const COMPLETIONS_EXAMPLES: &str = "\
 Examples:
   ssplat completions bash > ~/.local/share/bash-completion/completions/ssplat
-  ssplat man > ~/.local/share/man/man1/ssplat.1";
+  ssplat completions fish > ~/.config/fish/completions/ssplat.fish";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = COMPLETIONS_EXAMPLES)]
@@ -482,17 +481,33 @@ pub struct Completions {
     pub shell: clap_complete::Shell,
 }
 
+const MAN_EXAMPLES: &str = "\
+Examples:
+  ssplat man | man -l -                           the program
+  ssplat man encode | man -l -                    a command
+  ssplat man --out-dir ~/.local/share/man/man1    all of them, as man finds them";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = MAN_EXAMPLES)]
+pub struct Man {
+    /// The command whose page is printed [default: the page of the program]
+    pub command: Option<String>,
+    /// Write the pages of the program and of all commands into this folder
+    #[arg(long, short = 'd', value_name = "DIR", conflicts_with = "command")]
+    pub out_dir: Option<PathBuf>,
+}
+
 const COMPARE_EXAMPLES: &str = "\
 Examples:
   ssplat compare photo.png photo.ssplat
   ssplat compare photo.png photo.webp --json
 
-If only one picture has colour or alpha, grey counts as equal red, green and blue, and
-missing alpha as opaque; if the depths differ, both are compared with 16 bits. JSON keys:
-psnr in dB (at most 99), ssim and ms_ssim (null if a side is under 11 or 161 pixels,
-which is too small for them), ssimulacra2 (100 is best; pictures with a side below 64
-pixels are mirrored), butteraugli (3-norm, 0 is best; null if a side is under 8 pixels,
-and above 16 million pixels).";
+If only one picture has colour or alpha, grey counts as equal red, green and blue, and missing alpha as opaque; if the \
+depths differ, both are compared with 16 bits.
+
+JSON keys: psnr in dB (at most 99), ssim and ms_ssim (null if a side is under 11 or 161 pixels, which is too small for \
+them), ssimulacra2 (100 is best; pictures with a side below 64 pixels are mirrored), butteraugli (3-norm, 0 is best; \
+null if a side is under 8 pixels, and above 16 million pixels).";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = COMPARE_EXAMPLES)]
@@ -511,12 +526,11 @@ Examples:
   ssplat export photo.ssplat photo.npz      arrays for NumPy
   ssplat export photo.ssplat photo.ply      for viewers of 3D Gaussian Splatting
 
-Means, scales and covariances are in pixels with pixel centres at +0.5, y down; rotations in radians,
-colours in encoded sRGB values, 0 to 1. The .npz holds means, scales, rotations, covariances, colors,
-background, size, blend, depth, layout and steps; the .csv holds the same as columns. Importing either
-restores the same integers. A .ply is flat in z, and viewers render it by opacity, so it shows the
-Gaussians rather than the picture; an .svg has an ellipse at one scale for each. Metadata is not
-exported.";
+Means, scales and covariances are in pixels with pixel centres at +0.5, y down; rotations in radians, colours in \
+encoded sRGB values, 0 to 1. The .npz holds means, scales, rotations, covariances, colors, background, size, blend, \
+depth, layout and steps; the .csv holds the same as columns. Importing either restores the same integers. A .ply is \
+flat in z, and viewers render it by opacity, so it shows the Gaussians rather than the picture; it can be imported as \
+well. An .svg has an ellipse at one scale for each. Metadata is not exported.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = EXPORT_EXAMPLES)]
@@ -534,17 +548,17 @@ const IMPORT_EXAMPLES: &str = "\
 Examples:
   ssplat import photo.npz photo.ssplat
   ssplat import fit.npz fit.ssplat --size 768x512 --bytes 20000
+  ssplat import points.ply fit.ssplat --size 768x512 --blend normalized
 
-Reads the files of `ssplat export`, archives with means, colors, and scales with rotations or
-covariances, and the parameters of GaussianImage (_xyz, _cholesky or _scaling and _rotation,
-_features_dc) and Image-GS (xy, scale, rot, feat), which do not state the size of the picture. One
-line converts their checkpoints:
+Reads the files of `ssplat export` except .svg, points of 3D Gaussian Splatting (.ply) that lie in one plane, archives with means, colors, and scales with rotations or covariances, and the \
+parameters of GaussianImage (_xyz, _cholesky or _scaling and _rotation, _features_dc) and Image-GS (xy, scale, rot, \
+feat), which do not state the size of the picture. These commands convert their checkpoints:
 ";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = format!("{IMPORT_EXAMPLES}\n{}", foreign::HOW))]
 pub struct Import {
-    /// An .npz or .csv file; - for standard input
+    /// An .npz, .csv or .ply file; - for standard input
     pub input: PathBuf,
     /// The .ssplat file to write; - for standard output
     pub output: PathBuf,
@@ -552,7 +566,7 @@ pub struct Import {
     #[arg(long, value_enum)]
     pub format: Option<ImportFormat>,
     /// Width and height of the picture in pixels [default: as stated in the input]
-    #[arg(long, value_name = "WxH", value_parser = csv::size)]
+    #[arg(long, value_name = "WxH", value_parser = parameters::size)]
     pub size: Option<[u32; 2]>,
     /// How the Gaussians blend [default: as stated in the input]
     #[arg(long, value_parser = names::blend())]
@@ -648,5 +662,21 @@ mod tests {
     fn arguments_are_consistent() {
         use clap::CommandFactory;
         Args::command().debug_assert();
+    }
+
+    /// clap wraps paragraphs to the terminal; a line break within one would wrap it twice.
+    #[test]
+    fn texts_after_the_options_have_whole_paragraphs_and_short_examples() {
+        use clap::CommandFactory;
+        let program = Args::command();
+        for command in program.get_subcommands().chain([&program]) {
+            let text = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            for (line, next) in text.lines().zip(text.lines().skip(1).chain([""])) {
+                let is_example = line.starts_with("  ");
+                assert!(!is_example || line.chars().count() <= 80, "{}: {line:?}", command.get_name());
+                let ends = line.is_empty() || next.is_empty() || next.starts_with("  ");
+                assert!(is_example || ends, "{}: {line:?} is followed by {next:?}", command.get_name());
+            }
+        }
     }
 }

@@ -34,7 +34,7 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
     let file = match format {
         ExportFormat::Npz => parameters.to_npz().map_err(|e| failed(&args.output, &e))?,
         ExportFormat::Csv => csv::write(&parameters).into_bytes(),
-        ExportFormat::Ply => ply::write(&parameters.picture),
+        ExportFormat::Ply => ply::write(&parameters),
         ExportFormat::Svg => svg::write(&parameters.picture).into_bytes(),
     };
     Sink::create(&args.output, &[&args.input])?.finish_with(&file)

@@ -8,7 +8,7 @@ use ssplat::{Encoder, Error, Limits, Parameter, Target};
 use crate::exchange::format::ImportFormat;
 use crate::exchange::parameters::{self, Given, Parameters};
 use crate::exchange::problem::Problem;
-use crate::exchange::{csv, foreign, npz};
+use crate::exchange::{csv, foreign, npz, ply};
 use crate::failure::{Failure, Kind};
 use crate::sink::{Sink, tell};
 use crate::{args, input};
@@ -26,6 +26,13 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
         ImportFormat::Csv => {
             let text = std::str::from_utf8(&bytes).map_err(|e| failed(format!("no text: {e}").into()))?;
             csv::read(text, given, &limits).map_err(failed)?
+        }
+        ImportFormat::Ply => {
+            let (parameters, caveat) = ply::read(&bytes, given, &limits).map_err(failed)?;
+            if let Some(caveat) = caveat {
+                tell(&format!("{}: {caveat}", Failure::input(&args.input)));
+            }
+            parameters
         }
         ImportFormat::Npz => {
             let names = [&parameters::ARRAYS[..], &foreign::ARRAYS[..]].concat();

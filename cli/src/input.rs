@@ -87,7 +87,33 @@ impl Seek for Input {
 /// Reads a .ssplat file, or standard input for `-`. Of other files only the start is read, so they are refused whatever
 /// their length.
 pub fn read_splats(path: &Path) -> Result<Vec<u8>, Failure> {
-    read(path, Limits::default().alloc, |start| start.starts_with(&MAGIC))
+    let bytes = read(path, Limits::default().alloc, |start| start.starts_with(&MAGIC))?;
+    match other_picture(&bytes) {
+        Some(kind) => {
+            let message = format!("{}: not an ssplat file: it is {kind}", Failure::input(path));
+            Err(Failure { kind: Kind::Format, message })
+        }
+        None => Ok(bytes),
+    }
+}
+
+/// Returns what a file is that begins with `start`, if it is a picture that the library does not name itself, because
+/// it looks at four bytes only.
+fn other_picture(start: &[u8]) -> Option<&'static str> {
+    Some(match sniff(start) {
+        Some(Sniffed::JpegXl) => "a JPEG XL picture",
+        Some(Sniffed::Avif) => "an AVIF picture",
+        Some(Sniffed::Heic) => "a HEIC picture",
+        None => match image::guess_format(start).ok()? {
+            ImageFormat::Bmp => "a BMP picture",
+            ImageFormat::Farbfeld => "a farbfeld picture",
+            ImageFormat::Pnm => "a Netpbm picture",
+            ImageFormat::Qoi => "a QOI picture",
+            ImageFormat::Tiff => "a TIFF picture",
+            ImageFormat::WebP => "a WebP picture",
+            _ => return None,
+        },
+    })
 }
 
 /// Reads all of `path`, or of standard input for `-`; refuses more than `most` bytes.

@@ -85,7 +85,7 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Import(args) => import::run(&args),
         Command::Completions(args) => manual::completions(&args),
         Command::Formats => formats::run(),
-        Command::Man => manual::man(),
+        Command::Man(args) => manual::man(&args),
     }
 }
 

@@ -31,6 +31,12 @@ const WHOLE: [ImageFormat; 7] = [
     ImageFormat::WebP,
 ];
 
+/// Returns the extensions of the formats that can be written, one each.
+fn known() -> String {
+    let whole = WHOLE.iter().filter_map(|format| format.extensions_str().first().copied());
+    ["png", "ppm", "pgm", "pnm", "pam"].into_iter().chain(whole).collect::<Vec<_>>().join(", ")
+}
+
 /// An output format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
@@ -58,7 +64,7 @@ impl Format {
             "pam" => Ok(Format::Pam),
             other => match ImageFormat::from_extension(other) {
                 Some(format) if WHOLE.contains(&format) => Ok(Format::Whole(format)),
-                _ => Err(Failure::usage(format!("{extension:?} is not an extension of a format that can be written"))),
+                _ => Err(Failure::usage(format!("{extension:?} is not an extension of a format that can be written: {}", known()))),
             },
         }
     }

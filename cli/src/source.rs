@@ -94,7 +94,10 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
 pub fn read(path: &Path, mut input: Input, reading: &Reading) -> Result<Source, Failure> {
     let start = input.start().map_err(|e| Failure::io(path, &e))?;
     if start.is_empty() {
-        return Err(Failure { kind: Kind::Format, message: format!("{}: is empty", Failure::input(path)) });
+        return Err(Failure {
+            kind: Kind::Format,
+            message: format!("{}: empty (0 bytes), not a picture", Failure::input(path)),
+        });
     }
     if start.starts_with(&MAGIC) {
         let decoded = decode(path, &input::all(path, input, Limits::default().alloc)?)?;

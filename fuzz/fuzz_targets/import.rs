@@ -24,8 +24,12 @@ mod npy;
 mod npz;
 #[path = "../../cli/src/exchange/parameters.rs"]
 mod parameters;
+#[path = "../../cli/src/exchange/ply.rs"]
+mod ply;
 #[path = "../../cli/src/exchange/problem.rs"]
 mod problem;
+#[path = "../../cli/src/exchange/stated.rs"]
+mod stated;
 
 use npy::Array;
 use parameters::{Given, Parameters};
@@ -85,6 +89,7 @@ fn read(kind: u8, rest: &[u8], given: Given) -> Option<Parameters> {
             of_arrays(&arrays, given)
         }
         2 => npz::read(rest, &NAMES, &limits()).ok().and_then(|arrays| of_arrays(&arrays, given)),
+        4 => ply::read(rest, given, &limits()).ok().map(|found| found.0),
         _ => csv::read(std::str::from_utf8(rest).ok()?, given, &limits()).ok(),
     }
 }

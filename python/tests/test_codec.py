@@ -163,6 +163,8 @@ def test_a_reader_decodes_as_the_functions_do(tmp_path):
         ssplat.Reader(data, limits={"alloc": 10}).decode()
     with pytest.raises(ssplat.TruncatedError):
         ssplat.Reader(data[:40]).decode()
+    with pytest.raises(ssplat.TruncatedError, match=r"the file is empty \(0 bytes\), not an ssplat file"):
+        ssplat.decode(b"")
 
 
 def test_info_has_the_keys_that_its_type_names():

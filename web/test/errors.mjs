@@ -36,7 +36,7 @@ const compare = (name, bytes) => {
 for (const folder of ["invalid", "limits"])
   for (const name of readdirSync(join(root, "spec/vectors", folder))) compare(`${folder}/${name}`, readFileSync(join(root, "spec/vectors", folder, name, "file.ssplat")))
 const whole = readFileSync(join(root, "spec/vectors/valid/detail-rgb/file.ssplat"))
-for (const length of [4, 9, 12, 40, whole.length - 1]) compare(`${length} bytes`, whole.subarray(0, length))
+for (const length of [0, 4, 9, 12, 40, whole.length - 1]) compare(`${length} bytes`, whole.subarray(0, length))
 // Files of other kinds.
 for (const start of ["\x89PNG\r\n\x1a\n", "\xff\xd8\xff\xe0", "GIF89a", "<!doctype html>", "\n<html>", "version https://git-lfs.github.com/spec/v1", "\x1f\x8b\x08\0", "\x09SSP2345", "abcdefgh"])
   compare(JSON.stringify(start), Uint8Array.from(start, c => c.charCodeAt(0)))

@@ -51,7 +51,7 @@ for (const path of ["dist/ssplat-simd.wasm", "dist/ssplat-scalar.wasm", "ssplat-
   tell(`Node.js, ${path}`, await run(cases, load, new Decoder({ module })))
 }
 // Files of other kinds are named.
-const started = { "HTML or XML; is the path right?": "\n<!doctype html>", "a PNG picture": "\x89PNG\r\n\x1a\n", "a JPEG picture": "\xff\xd8\xff\xe0", "a valid ssplat file: bad magic [61, 62, 63, 64]": "abcdef", "file is empty": "" }
+const started = { "HTML or XML; is the path right?": "\n<!doctype html>", "a PNG picture": "\x89PNG\r\n\x1a\n", "a JPEG picture": "\xff\xd8\xff\xe0", "a valid ssplat file: bad magic [61, 62, 63, 64]": "abcdef", "the file is empty (0 bytes), not an ssplat file": "" }
 for (const [words, start] of Object.entries(started)) {
   const said = await new Decoder({ module: readFileSync(new URL("../dist/ssplat-simd.wasm", import.meta.url)) }).header(Uint8Array.from(start, c => c.charCodeAt(0))).catch(error => error.message)
   if (!String(said).endsWith(words)) tell("Node.js", { problems: [`${JSON.stringify(start)}: ${said}`], words: "other files" })

@@ -1,13 +1,11 @@
 //! Parameters as CSV: a comment line with the properties of the picture, a line of column names, and a line per
 //! Gaussian.
 
-use std::fmt::Write;
-
-use ssplat::{Channels, Depth, Gaussians, Limits};
+use ssplat::{Channels, Limits};
 
 use super::parameters::{self, Given, Parameters};
 use super::problem::{Problem, shown};
-use crate::names;
+use super::stated::{self, Stated};
 
 /// Start of the comment line.
 const COMMENT: &str = "# ssplat ";
@@ -29,15 +27,7 @@ fn color_columns(channels: Channels) -> &'static [&'static str] {
 pub fn write(of: &Parameters) -> String {
     let p = &of.picture;
     let channels = p.channels.count();
-    let joined = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
-    let (blend, depth) = (names::blend_name(p.blend), 8 * p.depth.bytes());
-    let background = joined(&p.background[..channels]);
-    let mut out = format!("{COMMENT}size={}x{};blend={blend};background={background};depth={depth}", p.width, p.height);
-    if let Some((layout, steps)) = of.stored {
-        let steps = parameters::numbers_of(&steps).map(|v| v.to_string()).join(" ");
-        let _ = write!(out, ";layout={};steps={steps}", names::layout_name(layout));
-    }
-    out += "\n";
+    let mut out = format!("{COMMENT}{}\n", stated::line(of));
     out += &[&COLUMNS[..], color_columns(p.channels)].concat().join(",");
     out += "\n";
     for g in &p.list {
@@ -54,23 +44,11 @@ pub fn write(of: &Parameters) -> String {
 /// covariances may be missing.
 pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Problem> {
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let (mut size, mut blend, mut depth) = (None, None, Depth::Eight);
-    let (mut layout, mut steps, mut background) = (None, None, Vec::new());
+    let mut stated = Stated::default();
     let (_, mut line) = lines.next().ok_or("the table is empty")?;
     while let Some(comment) = line.strip_prefix('#') {
-        let stated = format!("#{comment}");
-        for (name, value) in stated.strip_prefix(COMMENT).unwrap_or("").split(';').filter_map(|s| s.split_once('=')) {
-            match name.trim() {
-                "size" => size = Some(self::size(value)?),
-                "blend" => blend = Some(parameters::blend_of(value)?),
-                "background" => background = floats(value)?,
-                "depth" => {
-                    depth = parameters::depth_of(value.parse().map_err(|_| format!("depth is {}", shown(value)))?)?
-                }
-                "layout" => layout = Some(parameters::layout_of(value)?),
-                "steps" => steps = Some(parameters::steps_of(&floats(value)?)?),
-                _ => {}
-            }
+        if let Some(line) = comment.strip_prefix(' ').and_then(|c| c.strip_prefix(stated::START)) {
+            stated.add(line)?;
         }
         line = lines.next().ok_or("the table has no line of names")?.1;
     }
@@ -85,9 +63,6 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
         .into_iter()
         .find_map(|c| Some((c, all(color_columns(c))?)))
         .ok_or("the table has neither columns red, green and blue nor a column grey")?;
-    if !background.is_empty() && background.len() != channels.count() {
-        return Err(format!("the background has {} channels, the table {}", background.len(), channels.count()).into());
-    }
     let mut gaussians = Vec::new();
     if shape.is_none() && covariance.is_none() {
         return Err("the table has neither scale_major, scale_minor and rotation nor cov_xx, cov_xy and cov_yy".into());
@@ -116,28 +91,7 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
         };
         gaussians.push(parameters::gaussian([mean[0], mean[1]], scale, rotation, &values(&colors)?));
     }
-    let [width, height] = given.size(size)?;
-    let mut color = [0.0; 4];
-    background.iter().zip(&mut color).for_each(|(v, c)| *c = *v as f32);
-    let blend = given.blend(blend)?;
-    let picture = Gaussians { width, height, channels, depth, blend, background: color, list: gaussians };
-    Ok(Parameters { picture, stored: layout.zip(steps) })
-}
-
-/// Parses `WxH`.
-pub fn size(text: &str) -> Result<[u32; 2], String> {
-    let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
-    let most = Limits::default();
-    let sound = |s: &[u32; 2]| (1..=most.width).contains(&s[0]) && (1..=most.height).contains(&s[1]);
-    let problem = || format!("size is {}, not WxH in pixels, 1 to {} each", shown(text), most.width);
-    sides.filter(sound).ok_or_else(problem)
-}
-
-/// Parses a list of finite numbers.
-fn floats(text: &str) -> Result<Vec<f64>, String> {
-    let number = |v: &str| v.parse().ok().filter(|v: &f64| v.is_finite());
-    let one = |v: &str| number(v).ok_or_else(|| format!("'{}' is not a finite number", shown(v)));
-    text.split_whitespace().take(parameters::MOST_NUMBERS).map(one).collect()
+    stated.parameters(gaussians, channels, given, "the table has")
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 //! Parameters of other programs, in an `.npz` archive of their arrays. Their checkpoints are PyTorch pickles, which run
-//! code when opened and are not read here; one line of Python converts them (see [`HOW`]).
+//! code when opened and are not read here; a command of Python converts them (see [`HOW`]).
 //!
 //! GaussianImage (Zhang et al., ECCV 2024; github.com/Xinjie-Q/GaussianImage): `_xyz`, `_features_dc`, and `_cholesky`
 //! or `_scaling` with `_rotation`. Image-GS (Zhang et al., SIGGRAPH 2025; github.com/NYU-ICL/image-gs): `xy`, `scale`,
@@ -20,10 +20,17 @@ pub const ARRAYS: [&str; 9] =
 
 /// Commands that convert their checkpoints to archives.
 pub const HOW: &str = "\
-GaussianImage: python3 -c \"import torch,numpy as n; n.savez('fit.npz',**{k:v.cpu().numpy() for k,v in \
-torch.load('gaussian_model.pth.tar',map_location='cpu').items()})\"
-Image-GS:      python3 -c \"import torch,numpy as n; n.savez('fit.npz',**{k:v.cpu().numpy() for k,v in \
-torch.load('ckpt_step-10000.pt',map_location='cpu',weights_only=False)['state_dict'].items()})\"";
+GaussianImage:
+
+  python3 -c \"import torch, numpy; numpy.savez('fit.npz', **{k: v.cpu().numpy()
+    for k, v in torch.load('gaussian_model.pth.tar',
+    map_location='cpu').items()})\"
+
+Image-GS:
+
+  python3 -c \"import torch, numpy; numpy.savez('fit.npz', **{k: v.cpu().numpy()
+    for k, v in torch.load('ckpt_step-10000.pt', map_location='cpu',
+    weights_only=False)['state_dict'].items()})\"";
 
 /// Offset that GaussianImage adds to the diagonal of the Cholesky factor, and to the scales.
 const BOUND: f64 = 0.5;

@@ -26,6 +26,8 @@ pub enum ImportFormat {
     Npz,
     /// Text table
     Csv,
+    /// Points of 3D Gaussian Splatting, flat in z
+    Ply,
 }
 
 impl ExportFormat {
@@ -38,7 +40,7 @@ impl ExportFormat {
 impl ImportFormat {
     /// Returns the format of the extension of `path`.
     pub fn of_path(path: &Path) -> Result<Self, Failure> {
-        of_path(path, "npz or csv")
+        of_path(path, "npz, csv or ply")
     }
 }
 

@@ -8,4 +8,5 @@ pub mod npz;
 pub mod parameters;
 pub mod ply;
 pub mod problem;
+pub mod stated;
 pub mod svg;

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::Index;
 
 use ssplat::unstable::bitstream::splats::{Layout, Steps};
-use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, SplatImage};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Limits, SplatImage};
 
 use super::npy::{self, Array, Values};
 use super::npz;
@@ -256,6 +256,15 @@ fn whole<const N: usize>(arrays: &BTreeMap<String, Array>, name: &str) -> Result
         .collect();
     let found = whole.and_then(|w| w.try_into().ok());
     found.map(Some).ok_or_else(|| format!("array {name} is {values:?}, not {N} whole numbers").into())
+}
+
+/// Parses `WxH`.
+pub fn size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    let most = Limits::default();
+    let sound = |s: &[u32; 2]| (1..=most.width).contains(&s[0]) && (1..=most.height).contains(&s[1]);
+    let problem = || format!("size is {}, not WxH in pixels, 1 to {} each", shown(text), most.width);
+    sides.filter(sound).ok_or_else(problem)
 }
 
 pub fn blend_of(name: &str) -> Result<Blend, Problem> {

@@ -443,7 +443,7 @@ fn wrong_usage_exits_with_2() {
         fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &options[0], &options[1]]), 2, message);
     }
     fails(ssplat(&[&"decode", &file, &folder.path("noextension")]), 2, "noextension");
-    fails(ssplat(&[&"decode", &file, &folder.path("o.gif")]), 2, "gif");
+    fails(ssplat(&[&"decode", &file, &folder.path("o.gif")]), 2, "can be written: png, ppm, pgm, pnm, pam, bmp, ff, jpg, qoi, tga, ti");
     fails(ssplat(&[&"compare", &file, &PHOTO]), 2, "the pictures differ in size: 60×40 and 768×512");
     assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
 }
@@ -471,9 +471,13 @@ fn broken_files_exit_with_4_and_leave_nothing() {
     for (broken, message) in [
         (bytes[..bytes.len() - 1].to_vec(), ""),
         (bytes[..30].to_vec(), ""),
-        (Vec::new(), "cut off"),
+        (Vec::new(), "bad.ssplat: empty (0 bytes), not an ssplat file"),
         (flipped(bytes.len() - 10), "checksum"),
         (b"not an ssplat file at all".to_vec(), "magic"),
+        (b"\x89PNG\r\n\x1a\n".to_vec(), "not an ssplat file: it is a PNG picture"),
+        // The library looks at four bytes, which these pictures do not state their format in.
+        (b"RIFF\x24\0\0\0WEBPVP8L".to_vec(), "not an ssplat file: it is a WebP picture"),
+        (b"\0\0\0\x14ftypavif\0\0\0\0avif".to_vec(), "not an ssplat file: it is an AVIF picture"),
     ] {
         fs::write(&bad, broken).unwrap();
         fails(ssplat(&[&"decode", &bad, &out]), 4, "bad.ssplat");
@@ -890,7 +894,7 @@ fn messages_name_the_options_that_were_given() {
     fails(said, 3, "no/such/o.ssplat");
     let out = folder.path("o.ssplat");
     fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "a ratio of 1000000000 leaves 0 bytes");
-    fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: is empty");
+    fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: empty (0 bytes), not a picture");
     let avif = folder.path("a.avif");
     fs::write(&avif, b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf").unwrap();
     fails(ssplat(&[&"encode", &avif, &out]), 5, "avifdec");
@@ -1262,11 +1266,27 @@ fn completions_and_the_manual_contain_the_options() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         assert!(succeeds(ssplat(&[&"completions", &shell])).contains("skip-existing"), "{shell}");
     }
-    let man = succeeds(ssplat(&[&"man"]));
-    assert!(man.starts_with(".ie") || man.contains(".TH"), "{man}");
-    assert!(man.contains("auto\\-orient"), "{man}");
-    // It refers to no other page.
-    assert!(!man.contains("encode(1)"), "{man}");
+    let folder = Folder::new();
+    let pages = folder.path("man");
+    assert_eq!(succeeds(ssplat(&[&"man", &"--out-dir", &pages])), "");
+    let of = |name: &str| fs::read_to_string(pages.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    let program = of("ssplat.1");
+    assert!(program.contains(".TH ssplat 1") && program.contains(".SH \"EXIT STATUS\""), "{program}");
+    // The program's page names a page for each command, and each names the program's.
+    let named: Vec<&str> = program.lines().filter_map(|l| l.strip_prefix("ssplat\\-")?.strip_suffix("(1)")).collect();
+    assert_eq!(named.len(), fs::read_dir(&pages).unwrap().count() - 1, "{program}");
+    for name in named {
+        let page = of(&format!("ssplat-{name}.1"));
+        assert!(page.starts_with(&format!(".TH ssplat-{name} 1 \"\" \"ssplat ")), "{page}");
+        assert!(page.ends_with(".SH \"SEE ALSO\"\nssplat(1)\n"), "{page}");
+        assert_eq!(succeeds(ssplat(&[&"man", &name])), page);
+    }
+    assert_eq!(succeeds(ssplat(&[&"man"])), program);
+    let encode = of("ssplat-encode.1");
+    assert!(encode.contains("auto\\-orient") && encode.contains("<INPUT>... \\-\\-out\\-dir <DIR>"), "{encode}");
+    // Examples are not filled.
+    assert!(encode.contains(".SH EXAMPLES\n.nf\n  ssplat encode photo.jpg"), "{encode}");
+    fails(ssplat(&[&"man", &"encod"]), 2, "no command \"encod\"; the commands are encode, decode, ");
     let version = succeeds(ssplat(&[&"--version"]));
     assert!(version.starts_with(concat!("ssplat ", env!("CARGO_PKG_VERSION"))), "{version}");
 }

@@ -52,7 +52,7 @@ fn export_and_import_give_the_same_file() {
         (Channels::GreyAlpha, Layout::Coded, Blend::Sum),
     ] {
         let fit = file(folder.path(), channels, layout, blend);
-        for name in ["fit.npz", "fit.csv"] {
+        for name in ["fit.npz", "fit.csv", "fit.ply"] {
             let (out, back) = (folder.path().join(name), folder.path().join("back.ssplat"));
             succeeds(&ssplat(&["export"], [&fit, &out]));
             succeeds(&ssplat(&["import"], [&out, &back]));
