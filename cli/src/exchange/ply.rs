@@ -329,7 +329,7 @@ pub fn read(file: &[u8], given: Given, limits: &Limits) -> Result<(Parameters, O
         }
         let [w, x, y, z] = vertex.get(turns)?;
         let length = [w, x, y, z].into_iter().fold(0.0, f64::hypot);
-        if !(length > 0.0) {
+        if length.is_nan() || length <= 0.0 {
             return Err(vertex.problem(turns[0], "and so are the others, which is no rotation"));
         }
         for (place, tilt) in [(turns[1], x), (turns[2], y)] {
