@@ -6,7 +6,7 @@
 
 use std::error::Error;
 
-use ssplat::{Damage, Limits, Reader, Rect, SamplesMut};
+use ssplat::{Limits, Reader, Rect, SamplesMut};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("the path of an .ssplat file")?;
@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{width} × {height}, {} Gaussians", reader.primitives());
 
     // A pan over the middle row, at twice the size.
-    let image = reader.read(Damage::Refuse)?;
+    let image = reader.read()?;
     let (part, step) = ([width.min(64), height.min(64)], 16);
     let mut frame = vec![0; 4 * (part[0] * part[1]) as usize * channels];
     for x in (0..=width - part[0]).step_by(step) {

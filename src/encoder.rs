@@ -289,7 +289,7 @@ impl Encoder {
     /// NaN, because there is no source to compare with.
     ///
     /// ```
-    /// use ssplat::{Blend, Channels, Damage, Depth, Encoder, Gaussian, Gaussians, Limits, Reader};
+    /// use ssplat::{Blend, Channels, Depth, Encoder, Gaussian, Gaussians, Limits, Reader};
     ///
     /// let gaussians = Gaussians {
     ///     width: 16,
@@ -303,7 +303,7 @@ impl Encoder {
     /// let file = Encoder::new().encode_gaussians(&gaussians)?.bytes;
     /// assert!(file.len() < 60);
     ///
-    /// let stored = Reader::new(&file, &Limits::default())?.read(Damage::Refuse)?.gaussians()?;
+    /// let stored = Reader::new(&file, &Limits::default())?.read()?.gaussians()?;
     /// assert!((stored.list[0].mean[0] - 8.0).abs() < 0.5);
     /// # Ok::<(), ssplat::Error>(())
     /// ```

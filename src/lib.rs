@@ -66,12 +66,12 @@
 //! # let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Damage, Limits, Reader, Rect};
+//! use ssplat::{Limits, Reader, Rect};
 //!
 //! let reader = Reader::new(&bytes, &Limits::default())?; // reads the header only
 //! assert_eq!((reader.width(), reader.height()), (32, 16));
 //!
-//! let image = reader.read(Damage::Refuse)?;
+//! let image = reader.read()?;
 //! let region = image.view().crop(Rect::new(8, 4, 16, 8))?; // left, top, width, height in pixels of the picture
 //! let enlarged = image.render(&region.resized(64, 32)?)?;
 //! assert_eq!((enlarged.width(), enlarged.height()), (64, 32));
@@ -94,9 +94,9 @@
 //! # let gradient: Vec<u8> = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, gradient)?;
 //! # let bytes = ssplat::Encoder::new().effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Damage, Encoder, Limits, Reader};
+//! use ssplat::{Encoder, Limits, Reader};
 //!
-//! let mut gaussians = Reader::new(&bytes, &Limits::default())?.read(Damage::Refuse)?.gaussians()?;
+//! let mut gaussians = Reader::new(&bytes, &Limits::default())?.read()?.gaussians()?;
 //! gaussians.list.iter_mut().for_each(|g| g.color[0] *= 0.5);
 //! let darker = Encoder::new().encode_gaussians(&gaussians)?.bytes;
 //! # assert!(!darker.is_empty());
@@ -170,9 +170,9 @@ assert_eq!(picture.width(), 8);
     doc = r#"
 ```no_run
 use ssplat::gpu::{Adapters, Device, Renderer};
-use ssplat::{Damage, Depth, Limits, Reader};
+use ssplat::{Depth, Limits, Reader};
 
-let image = Reader::open("photo.ssplat", &Limits::default())?.read(Damage::Refuse)?;
+let image = Reader::open("photo.ssplat", &Limits::default())?.read()?;
 let device = Device::open(Adapters::Hardware)?;
 let mut renderer = Renderer::of(&device, &image)?;
 let pixels = renderer.render(&image.view(), Depth::Eight)?;

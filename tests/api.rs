@@ -60,7 +60,7 @@ fn a_file_is_opened_once_and_drawn_many_times() {
         (reader.width(), reader.height(), reader.channels(), reader.depth()),
         (96, 64, Channels::Rgb, Depth::Eight)
     );
-    let image = reader.read(Damage::Refuse).unwrap();
+    let image = reader.read().unwrap();
     let whole = image.render(&image.view()).unwrap();
     assert_eq!(Decoder::new().decode(&bytes).unwrap().pixels, whole);
     // All ways of rendering give the same pixels, in any memory.
@@ -70,7 +70,7 @@ fn a_file_is_opened_once_and_drawn_many_times() {
     let mut out = vec![0; 40 * 30 * 3];
     Decoder::new().region(Rect::new(16, 8, 40, 30)).decode_into(&bytes, SamplesMut::U8(&mut out)).unwrap();
     assert_eq!(drawn.samples(), &Samples::U8(out));
-    let small = Reader::new(&bytes, &Limits::default()).unwrap().thumbnail([24, 24], Damage::Refuse).unwrap().pixels;
+    let small = Reader::new(&bytes, &Limits::default()).unwrap().thumbnail([24, 24]).unwrap().pixels;
     assert_eq!((small.width(), small.height()), (24, 16));
     let gaussians = Decoder::new().layers(Layers::Gaussians).decode(&bytes).unwrap().pixels;
     assert_eq!(gaussians.width(), 96);
@@ -108,7 +108,7 @@ fn files_are_read_from_memory_a_path_and_any_reader_within_the_limits() {
     let pixels = Decoder::new().decode(&bytes).unwrap().pixels;
     let limits = Limits::default();
     let render = |reader: Reader<'_>| {
-        let image = reader.read(Damage::Refuse)?;
+        let image = reader.read()?;
         image.render(&image.view())
     };
     let (head, tail) = bytes.split_at(bytes.len() / 2);
@@ -145,7 +145,7 @@ fn given(channels: Channels, blend: Blend, depth: Depth) -> Gaussians {
 }
 
 fn gaussians_of(file: &[u8]) -> Gaussians {
-    Reader::new(file, &Limits::default()).unwrap().read(Damage::Refuse).unwrap().gaussians().unwrap()
+    Reader::new(file, &Limits::default()).unwrap().read().unwrap().gaussians().unwrap()
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn gaussians_of_a_file_render_its_picture() {
     // Their memory is held against the limits.
     let mut limits = Limits::default();
     limits.alloc = 20 * gaussians.list.len() as u64;
-    let image = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse));
+    let image = Reader::new(&bytes, &limits).and_then(|reader| reader.read());
     let refused = image.and_then(|image| image.gaussians());
     assert!(matches!(refused, Err(Error::LimitExceeded { .. })), "{refused:?}");
 }

@@ -200,7 +200,7 @@ fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Ve
 }
 
 fn opened(bytes: &[u8]) -> SplatImage {
-    Reader::new(bytes, &Limits::default()).unwrap().read(Damage::Refuse).unwrap()
+    Reader::new(bytes, &Limits::default()).unwrap().read().unwrap()
 }
 
 /// Returns the largest difference between the GPU's and the CPU's rendering of `view`, in code values, and whether the
@@ -286,7 +286,7 @@ fn layers_within_limits(device: &Device) {
         // Less than the layer needs, but more than the Gaussians need.
         let mut limits = Limits::default();
         limits.work = 1 << 27;
-        let file = Reader::new(&bytes, &limits).unwrap().read(Damage::Refuse).unwrap();
+        let file = Reader::new(&bytes, &limits).unwrap().read().unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
         let refused = matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Work, .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
@@ -297,7 +297,7 @@ fn parts(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
     let whole = View::of_size(530, 300);
     let region = whole.crop(Rect::new(10, 20, 100, 50)).unwrap();
-    let file = Reader::new(&bytes, &Limits::default()).unwrap().read_for(&region, Damage::Refuse).unwrap();
+    let file = Reader::new(&bytes, &Limits::default()).unwrap().read_for(&region).unwrap();
     let mut renderer = Renderer::of(device, &file).unwrap();
     renderer.render(&region, Depth::Eight).unwrap();
     let refused = renderer.render(&whole, Depth::Eight);

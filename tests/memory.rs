@@ -175,7 +175,7 @@ fn layers_of_empty_tiles() {
         limits.alloc = granted;
         ALLOCATOR.reset_peak_usage();
         let before = ALLOCATOR.current_usage();
-        let is_read = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)).is_ok();
+        let is_read = Reader::new(&bytes, &limits).and_then(|reader| reader.read()).is_ok();
         (is_read, (ALLOCATOR.peak_usage() - before) as u64)
     };
     let (mut less, mut enough) = (0u64, 1u64 << 32);
@@ -224,7 +224,7 @@ fn in_other_sizes() -> [u32; 2] {
         keeps(&format!("in {size:?}"), files, |bytes, granted| {
             let mut limits = Limits::default();
             limits.alloc = granted;
-            let Ok(opened) = Reader::new(bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)) else {
+            let Ok(opened) = Reader::new(bytes, &limits).and_then(|reader| reader.read()) else {
                 return false;
             };
             opened.view().resized(size[0], size[1]).is_ok_and(|view| opened.render(&view).is_ok())
@@ -248,7 +248,7 @@ fn again_and_again(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("again and again", files, |bytes, granted| {
         let mut limits = Limits::default();
         limits.alloc = granted;
-        let Ok(opened) = Reader::new(bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)) else {
+        let Ok(opened) = Reader::new(bytes, &limits).and_then(|reader| reader.read()) else {
             return false;
         };
         let Ok(first) = opened.renderer(&opened.view()) else { return false };

@@ -184,7 +184,7 @@ impl Session {
     /// Reads the whole picture, so that drawing any part of it need not read the file.
     pub fn preload(&mut self) -> Outcome<()> {
         self.image = None;
-        let image = self.reader()?.read(self.damage)?;
+        let image = self.reader()?.damage(self.damage).read()?;
         self.missing = image.missing();
         self.image = Some(image);
         Ok(())
@@ -221,7 +221,7 @@ impl Session {
             image.limit_alloc(left)?;
             image.renderer(view)?
         } else {
-            let mut image = self.reader()?.read_for(view, self.damage)?;
+            let mut image = self.reader()?.damage(self.damage).read_for(view)?;
             go_on(watch, 0.0)?;
             image.limit_alloc(left)?;
             self.missing = image.missing();
@@ -243,7 +243,7 @@ impl Session {
     /// Draws the picture fitted into `within`, from the file's own thumbnail if that is large enough.
     pub fn thumbnail(&self, within: [u32; 2], format: ssplat_format, sink: Sink<'_>) -> Outcome<()> {
         format.check(self.reader()?.channels())?;
-        let pixels = self.reader()?.thumbnail(within, self.damage)?.pixels;
+        let pixels = self.reader()?.damage(self.damage).thumbnail(within)?.pixels;
         let (channels, len) = (pixels.channels(), pixels.width() as usize * pixels.channels().count());
         match (pixels.samples(), format.depth()) {
             (Samples::U8(samples), Depth::Eight) => format.send(samples, len, channels, sink),

@@ -94,7 +94,7 @@ fn one(args: &args::Decode, task: &Task, format: Format, (show, report): (&Show,
     let of = opening.header().primitives;
     let view = view(args, input, opening.view().layers(args.layers))?;
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
-    let opened = opening.read_for(&view, damage).map_err(failed)?;
+    let opened = opening.damage(damage).read_for(&view).map_err(failed)?;
     drop(bytes);
     let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
     let mut notes = losses(opened.metadata(), missing, of);
@@ -163,7 +163,8 @@ fn thumbnail(
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
     let opening = Reader::new(bytes, &Limits::default()).map_err(failed)?;
     let primitives = opening.primitives();
-    let ssplat::Decoded { pixels, mut metadata, missing, .. } = opening.thumbnail([side; 2], damage).map_err(failed)?;
+    let ssplat::Decoded { pixels, mut metadata, missing, .. } =
+        opening.damage(damage).thumbnail([side; 2]).map_err(failed)?;
     let mut notes = losses(&metadata, missing, primitives);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use image::metadata::Orientation;
-use ssplat::{Damage, Limits, Reader};
+use ssplat::{Limits, Reader};
 
 use crate::exchange::format::ExportFormat;
 use crate::exchange::parameters::Parameters;
@@ -19,7 +19,7 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
     };
     let bytes = input::read_splats(&args.input)?;
     let refused = |e| Failure::library(&args.input, &e);
-    let image = Reader::new(&bytes, &Limits::default()).and_then(|r| r.read(Damage::Refuse)).map_err(refused)?;
+    let image = Reader::new(&bytes, &Limits::default()).and_then(|r| r.read()).map_err(refused)?;
     if image.splats().detail.is_some() {
         tell(&format!("{}: the detail layer is not exported, only the Gaussians", Failure::input(&args.input)));
     }

@@ -38,7 +38,7 @@ impl Shown {
 /// broken files here, not in the browser.
 fn complete(input: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u8>, Failure> {
     let failed = |e| Failure::library(input, &e);
-    let read = |damage| Reader::new(&bytes, limits).and_then(|opening| opening.read(damage));
+    let read = |damage| Reader::new(&bytes, limits).and_then(|opening| opening.damage(damage).read());
     match read(Damage::Refuse) {
         Ok(_) => Ok(bytes),
         Err(Error::Format(cut @ FormatError::CutOff { partial: true, .. })) => {

@@ -105,11 +105,11 @@ fuzz_target!(|input: Input| {
     let mut options = DecodeOptions::default();
     (options.limits, options.region, options.size) = (limits(), input.region.map(Rect::from), input.size);
     measured(|| drop(decode(&bytes, &options)));
-    measured(|| drop(Reader::new(&bytes, &limits()).and_then(|reader| reader.thumbnail(input.within, Damage::Refuse))));
+    measured(|| drop(Reader::new(&bytes, &limits()).and_then(|reader| reader.thumbnail(input.within))));
     options.damage = Damage::Accept;
     measured(|| drop(decode(&bytes, &options)));
     measured(|| {
-        let Ok(opened) = Reader::new(&bytes, &limits()).and_then(|reader| reader.read(Damage::Refuse)) else { return };
+        let Ok(opened) = Reader::new(&bytes, &limits()).and_then(|reader| reader.read()) else { return };
         let mut view = opened.view();
         for step in &input.steps {
             let next = match *step {

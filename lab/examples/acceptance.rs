@@ -18,7 +18,7 @@ use seal::mutations::mutations;
 use seal::seal;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::inspect;
-use ssplat::{Damage, Limits, Reader, Rect};
+use ssplat::{Limits, Reader, Rect};
 
 #[path = "../../tests/seal/mod.rs"]
 mod seal;
@@ -110,7 +110,7 @@ fn corner(file: &[u8], size: &mut [u32; 2]) -> ssplat::Result<Vec<u8>> {
     *size = [header.width.min(SIDE), header.height.min(SIDE)];
     let count = header.channels.count();
     let view = view.crop(Rect::new(0, 0, size[0], size[1]))?;
-    let opened = opening.read_for(&view, Damage::Refuse)?;
+    let opened = opening.read_for(&view)?;
     let mut samples = vec![0; size[0] as usize * size[1] as usize * count];
     opened.render_into(&view, SamplesMut::U8(&mut samples))?;
     let rgba = samples.chunks_exact(count).flat_map(|s| match *s {

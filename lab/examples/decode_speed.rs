@@ -38,7 +38,7 @@ use nix::sys::resource::{UsageWho, getrusage};
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
-use ssplat::{Damage, Limits, Pixels, Rect, Target};
+use ssplat::{Limits, Pixels, Rect, Target};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -316,9 +316,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 options.size = Some([256, (256 * size.height).div_ceil(size.width)]);
                 drop(ssplat::unstable::decode(&bytes, &options)?);
             }
-            "ssplat, its thumbnail" => {
-                drop(ssplat::Reader::new(&bytes, &Limits::default())?.thumbnail([256; 2], Damage::Refuse)?)
-            }
+            "ssplat, its thumbnail" => drop(ssplat::Reader::new(&bytes, &Limits::default())?.thumbnail([256; 2])?),
             _ => drop(image::load_from_memory(&bytes)?),
         }
         let used = cpu_time(who)? - cpu;

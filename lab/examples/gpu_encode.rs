@@ -127,7 +127,7 @@ fn compare_files(args: &Args, device: &Device) -> Result<()> {
 }
 
 fn read(bytes: &[u8]) -> Result<SplatImage> {
-    Ok(Reader::new(bytes, &Limits::default())?.read(Damage::Refuse)?)
+    Ok(Reader::new(bytes, &Limits::default())?.read()?)
 }
 
 /// Decodes a file on both devices. Returns a row of the table.

@@ -60,7 +60,7 @@ impl Job {
     }
 
     fn run(&self, data: &[u8]) -> Result<(Pixels, MissingParts)> {
-        let opened = Reader::new(data, &self.limits)?.read_for(&self.view, self.damage)?;
+        let opened = Reader::new(data, &self.limits)?.damage(self.damage).read_for(&self.view)?;
         let missing = opened.missing();
         let renderer = opened.renderer(&self.view)?;
         // The integers are dropped to free memory for the pixels.

@@ -8,7 +8,7 @@ use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 use ssplat::unstable::bitstream::splats::Steps;
 use ssplat::unstable::{EncodeOptions, Precision};
-use ssplat::{Channels, Damage, Depth, Encoder, Gaussian, Gaussians, Layers, Reader, Target};
+use ssplat::{Channels, Depth, Encoder, Gaussian, Gaussians, Layers, Reader, Target};
 
 use crate::failure::{integer, parameter};
 use crate::{carry, decode, info, names, work};
@@ -26,7 +26,7 @@ pub fn gaussians<'py>(
         // The detail layer is not part of the result. Pixels are not needed, so the view has only one.
         let reader = Reader::new(&data, &limits)?;
         let view = reader.view().resized(1, 1)?.layers(Layers::Gaussians);
-        let opened = reader.read_for(&view, Damage::Refuse)?;
+        let opened = reader.read_for(&view)?;
         let stored = opened.gaussians()?;
         Ok((opened, Floats::of(&stored), stored.background))
     })?;

@@ -44,7 +44,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 /// Decodes an opened file.
 fn decode_opened(opening: Reader<'_>, options: &DecodeOptions) -> Result<Decoded> {
     let view = options.view(&opening.view())?;
-    let opened = opening.read_for(&view, options.damage)?;
+    let opened = opening.damage(options.damage).read_for(&view)?;
     let (depth, missing) = (opened.splats.depth, opened.missing());
     let renderer = opened.renderer(&view)?;
     // Release the memory of the integers before the pixels are allocated.
@@ -68,7 +68,7 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
             problem: format!("{} samples where {samples} are needed", out.count()),
         });
     }
-    let opened = opening.read_for(&view, options.damage)?;
+    let opened = opening.damage(options.damage).read_for(&view)?;
     opened.render_into(&view, out)?;
     let missing = opened.missing();
     Ok((opened.into_metadata(), missing))

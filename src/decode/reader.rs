@@ -26,7 +26,7 @@ use crate::rect::Rect;
 /// allocated for them.
 ///
 /// ```no_run
-/// use ssplat::{Damage, Limits, Reader};
+/// use ssplat::{Limits, Reader};
 ///
 /// // A thumbnail of at most 256 × 256 pixels, of which only what it needs is read.
 /// let opening = Reader::open("photo.ssplat", &Limits::default())?;
@@ -34,7 +34,7 @@ use crate::rect::Rect;
 /// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
 /// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
 /// let thumbnail = whole.resized(width, height)?;
-/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.render(&thumbnail)?;
+/// let pixels = opening.read_for(&thumbnail)?.render(&thumbnail)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -44,6 +44,7 @@ pub struct Reader<'a> {
     rest: Cow<'a, [u8]>,
     limits: Limits,
     budget: Budget,
+    damage: Damage,
 }
 
 /// A file that has been read and can be rendered any number of times.
@@ -52,12 +53,12 @@ pub struct Reader<'a> {
 /// integers and of everything that is rendered from them at the same time.
 ///
 /// ```
-/// use ssplat::{Channels, Damage, Encoder, Limits, Pixels, Reader, Rect, Samples, SamplesMut};
+/// use ssplat::{Channels, Encoder, Limits, Pixels, Reader, Rect, Samples, SamplesMut};
 ///
 /// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
 /// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
 /// # let bytes = Encoder::new().bytes(300).effort(1).encode(&pixels)?.bytes;
-/// let opened = Reader::new(&bytes, &Limits::default())?.read(Damage::Refuse)?;
+/// let opened = Reader::new(&bytes, &Limits::default())?.read()?;
 /// let whole = opened.view();
 /// let icc = opened.metadata().icc.as_deref();
 ///
@@ -113,7 +114,15 @@ impl<'a> Reader<'a> {
 
     /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
     pub(crate) fn with_header(header: Header, rest: Cow<'a, [u8]>, limits: &Limits) -> Self {
-        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits) }
+        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), damage: Damage::Refuse }
+    }
+
+    /// Sets what happens to files that are truncated or damaged. The default is [`Damage::Refuse`].
+    #[must_use]
+    #[doc(alias("partial", "lenient"))]
+    pub fn damage(mut self, damage: Damage) -> Self {
+        self.damage = damage;
+        self
     }
 
     /// Returns the width of the picture, pixels.
@@ -183,18 +192,17 @@ impl<'a> Reader<'a> {
     /// cases.
     ///
     /// # Errors
-    /// As [`read`](Reader::read) with this `damage`, and [`SplatImage::render`]; [`Error::Parameter`] if a side of
-    /// `within` is 0.
+    /// As [`read`](Reader::read), and [`SplatImage::render`]; [`Error::Parameter`] if a side of `within` is 0.
     #[doc(alias = "preview")]
-    pub fn thumbnail(&self, within: [u32; 2], damage: Damage) -> Result<Decoded> {
-        super::thumbnail::thumbnail(self, within, damage)
+    pub fn thumbnail(&self, within: [u32; 2]) -> Result<Decoded> {
+        super::thumbnail::thumbnail(self, within)
     }
 
     /// Returns a reader of the same bytes with the same memory account.
     pub(super) fn again(&self) -> Reader<'_> {
-        let Reader { header, rest, limits, budget } = self;
+        let Reader { header, rest, limits, budget, damage } = self;
         let (header, limits, budget) = (header.clone(), limits.clone(), budget.clone());
-        Reader { header, rest: Cow::Borrowed(rest), limits, budget }
+        Reader { header, rest: Cow::Borrowed(rest), limits, budget, damage: *damage }
     }
 
     /// Returns the limits.
@@ -207,8 +215,8 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
     /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
-    pub fn read(self, damage: Damage) -> Result<SplatImage> {
-        self.read_part(None, Layers::Both, damage)
+    pub fn read(self) -> Result<SplatImage> {
+        self.read_part(None, Layers::Both)
     }
 
     /// Reads the part of the picture that is visible in `view`, and the layers that it shows. For a small part of a
@@ -218,15 +226,15 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
     #[doc(alias("region", "crop"))]
-    pub fn read_for(self, view: &View, damage: Damage) -> Result<SplatImage> {
+    pub fn read_for(self, view: &View) -> Result<SplatImage> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
-        self.read_part(Some(view.area()), view.shown(), damage)
+        self.read_part(Some(view.area()), view.shown())
     }
 
-    fn read_part(self, area: Option<Rect>, layers: Layers, damage: Damage) -> Result<SplatImage> {
-        let Reader { header, rest, limits, budget } = self;
+    fn read_part(self, area: Option<Rect>, layers: Layers) -> Result<SplatImage> {
+        let Reader { header, rest, limits, budget, damage } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let read = match damage {
             Damage::Accept => reading.intact(&header, &rest).map(|(splats, missing)| (splats, missing, None)),

@@ -5,15 +5,14 @@ use super::reader::Reader;
 use crate::bitstream::MissingParts;
 use crate::error::Result;
 use crate::limits::Limits;
-use crate::options::Damage;
 
 /// Renders the picture at the largest size that fits into `within`. See [`Reader::thumbnail`].
-pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2], damage: Damage) -> Result<Decoded> {
+pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2]) -> Result<Decoded> {
     let view = opening.view().fitted(within)?;
     if let Some(small) = from_thumbnail(opening, [view.width(), view.height()])? {
         return Ok(small);
     }
-    let opened = opening.again().read_for(&view, damage)?;
+    let opened = opening.again().read_for(&view)?;
     let (pixels, missing) = (opened.render(&view)?, opened.missing());
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }
@@ -35,7 +34,7 @@ fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2]) -> Result<Opt
             return None;
         }
         let view = small.view().resized(width, height).ok()?;
-        small.read_for(&view, Damage::Refuse).ok()?.render(&view).ok()
+        small.read_for(&view).ok()?.render(&view).ok()
     };
     Ok(draw().map(|pixels| Decoded { pixels, metadata, missing: MissingParts::default() }))
 }

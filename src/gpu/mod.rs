@@ -8,9 +8,9 @@
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
-//! use ssplat::{Damage, Depth, Limits, Reader};
+//! use ssplat::{Depth, Limits, Reader};
 //!
-//! let opened = Reader::open("photo.ssplat", &Limits::default())?.read(Damage::Refuse)?;
+//! let opened = Reader::open("photo.ssplat", &Limits::default())?.read()?;
 //! let device = Device::open(Adapters::Hardware)?;
 //! let mut renderer = Renderer::of(&device, &opened)?;
 //! let pixels = renderer.render(&opened.view(), Depth::Eight)?;

@@ -23,7 +23,6 @@ use crate::decode::{Reader, SplatImage};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
-use crate::options::Damage;
 use crate::parameter::Limit;
 use crate::pixels::Depth;
 use crate::raster::{Renderer, SamplesMut};
@@ -96,7 +95,7 @@ impl<R: Read> SsplatDecoder<R> {
 
     fn read(&mut self) -> Result<SplatImage> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
-        Reader::with_header(self.header.clone(), rest.into(), &self.limits).read(Damage::Refuse)
+        Reader::with_header(self.header.clone(), rest.into(), &self.limits).read()
     }
 
     /// Returns a renderer of the picture and drops the integers.

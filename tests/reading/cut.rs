@@ -4,7 +4,7 @@
 use ssplat::{Damage, Error, FormatError, Limits, Reader, SplatImage};
 
 fn read(bytes: &[u8], damage: Damage) -> ssplat::Result<SplatImage> {
-    Reader::new(bytes, &Limits::default())?.read(damage)
+    Reader::new(bytes, &Limits::default())?.damage(damage).read()
 }
 
 /// Cuts a vector after every byte.

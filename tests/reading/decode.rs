@@ -134,7 +134,7 @@ fn levels_out_of_range_are_parameter_errors() {
 fn an_opened_file_renders_every_view_like_decode() {
     let made = crate::synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&crate::synthetic::scene(&made)).unwrap();
-    let opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
+    let opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read()).unwrap();
     let mut memory = Vec::new();
     for (region, size) in
         [([0, 0, 1024, 768], [1024, 768]), ([100, 200, 300, 400], [300, 400]), ([5, 9, 800, 700], [70, 33])]
@@ -162,7 +162,7 @@ fn data_read_for_a_part_renders_only_that_part() {
     let opening = Reader::new(&bytes, &Limits::default()).unwrap();
     let whole = opening.view();
     let part = whole.crop(Rect::new(300, 400, 500, 600)).unwrap();
-    let opened = opening.read_for(&part, Damage::Refuse).unwrap();
+    let opened = opening.read_for(&part).unwrap();
     assert!(opened.splats().gaussians.len() < 40_000 / 2, "{}", opened.splats().gaussians.len());
     let inner = part.crop(Rect::new(20, 30, 100, 100)).unwrap();
     let mut options = DecodeOptions::default();
@@ -182,7 +182,7 @@ fn data_read_for_a_part_renders_only_that_part() {
 fn simultaneous_views_share_one_limit() {
     let made = crate::synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&crate::synthetic::scene(&made)).unwrap();
-    let mut opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
+    let mut opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read()).unwrap();
     // Enough for the picture and one renderer, but not for two.
     let mut alloc = 1 << 18;
     let one = loop {

@@ -28,7 +28,7 @@ fn small() -> Vec<u8> {
 fn draw(bytes: &[u8], view: &View, layers: Layers) -> Pixels {
     let view = view.layers(layers);
     let reader = Reader::new(bytes, &Limits::default()).unwrap();
-    reader.read_for(&view, Damage::Refuse).unwrap().render(&view).unwrap()
+    reader.read_for(&view).unwrap().render(&view).unwrap()
 }
 
 fn samples(pixels: &Pixels) -> Vec<u16> {
@@ -116,11 +116,11 @@ fn each_layer_can_be_rendered_alone() {
 fn a_detail_layer_is_no_metadata() {
     let mut limits = Limits::default();
     limits.metadata = 0;
-    assert!(Reader::new(&small(), &limits).unwrap().read(Damage::Refuse).is_ok());
+    assert!(Reader::new(&small(), &limits).unwrap().read().is_ok());
     let mut tagged = large(Channels::Rgb);
     tagged.metadata.exif = Some(b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
     let bytes = to_bytes(&tagged).unwrap();
-    let refused = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse));
+    let refused = Reader::new(&bytes, &limits).and_then(|reader| reader.read());
     assert!(matches!(refused, Err(Error::LimitExceeded { limit: Limit::Metadata, .. })));
 }
 
@@ -226,10 +226,10 @@ fn views_select_the_layers_of_a_whole_file_and_only_those_that_were_read() {
     let bytes = small();
     let reader = || Reader::new(&bytes, &Limits::default()).unwrap();
     let all = [Layers::Both, Layers::Gaussians, Layers::Detail];
-    let whole = reader().read(Damage::Refuse).unwrap();
+    let whole = reader().read().unwrap();
     for layers in all {
         let view = whole.view().layers(layers);
-        let read = reader().read_for(&view, Damage::Refuse).unwrap();
+        let read = reader().read_for(&view).unwrap();
         assert_eq!(whole.render(&view).unwrap(), read.render(&read.view()).unwrap(), "{layers:?}");
         for other in all {
             let found = read.render(&view.layers(other));
@@ -250,7 +250,7 @@ fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
     let bytes = small();
     let reader = Reader::new(&bytes, &Limits::default()).unwrap();
     let view = reader.view().layers(Layers::Gaussians);
-    assert_eq!(reader.read_for(&view, Damage::Accept).unwrap().missing(), MissingParts::default());
+    assert_eq!(reader.damage(Damage::Accept).read_for(&view).unwrap().missing(), MissingParts::default());
 }
 
 #[test]
@@ -277,7 +277,7 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
     assert!(part.gaussians.len() == 1 && part.detail.is_none());
     let opening = Reader::new(&bytes, &limits).unwrap();
     let corner = opening.view().crop(Rect::new(0, 0, 10, 10)).unwrap();
-    assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().render(&corner).unwrap().width(), 10);
+    assert_eq!(opening.damage(Damage::Accept).read_for(&corner).unwrap().render(&corner).unwrap().width(), 10);
 }
 
 /// A stream that is invalid only at its end has been read by then.
@@ -319,7 +319,7 @@ fn levels_of_invalid_tiles_count_as_work() {
 fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
     for channels in [Channels::Rgb, Channels::GreyAlpha] {
         let bytes = to_bytes(&large(channels)).unwrap();
-        let whole = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
+        let whole = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read()).unwrap();
         let larger = View::of_size(4000, 3000);
         let mut seen = 0;
         for [x, y, width, height] in
@@ -345,7 +345,7 @@ fn work_of_the_layer_is_checked_before_it_is_done() {
     // The Gaussians alone are within the limit.
     let reader = Reader::new(&bytes, &limits).unwrap();
     let view = reader.view().layers(Layers::Gaussians);
-    assert!(reader.read_for(&view, Damage::Refuse).is_ok());
+    assert!(reader.read_for(&view).is_ok());
 }
 
 /// A view that is enlarged along one axis and reduced along the other has more resampling taps than pixels or samples.
@@ -354,7 +354,7 @@ fn work_of_a_distorted_view_is_counted() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 31;
-    let opened = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
+    let opened = Reader::new(&bytes, &limits).and_then(|reader| reader.read()).unwrap();
     let drawn = |width, height| opened.renderer(&opened.view().resized(width, height).unwrap()).map(drop);
     assert!(drawn(1, 1).is_ok() && drawn(2000, 1).is_ok() && drawn(1, 2000).is_ok());
     for (width, height) in [(1, 1 << 20), (1 << 20, 1)] {
@@ -379,7 +379,7 @@ fn work_of_both_layers_is_counted_together() {
             limits.work = work;
             let view = View::of_size(530, 300).layers(layers);
             let reader = Reader::new(&bytes, &limits).unwrap();
-            reader.read_for(&view, Damage::Refuse).and_then(|image| image.renderer(&view)).is_ok()
+            reader.read_for(&view).and_then(|image| image.renderer(&view)).is_ok()
         };
         (8 * 24..8 * 36)
             .map(|eighth: u32| (1 << (eighth / 8)) / 8 * u64::from(8 + eighth % 8))

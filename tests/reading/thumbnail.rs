@@ -35,7 +35,7 @@ fn drawn(bytes: &[u8], size: [u32; 2]) -> Pixels {
 }
 
 fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> ssplat::Result<Decoded> {
-    Reader::new(bytes, limits)?.thumbnail(within, ssplat::Damage::Refuse)
+    Reader::new(bytes, limits)?.thumbnail(within)
 }
 
 fn small(bytes: &[u8], side: u32) -> Pixels {

@@ -112,7 +112,7 @@ fn hidden_colors_become_black_unless_they_are_kept() {
 #[test]
 fn enlarged_pixels_have_sharp_edges() {
     let pixels = picture("text", [20, 11], Channels::Rgba, 8);
-    let opened = Reader::new(&exact(&pixels), &Limits::default()).unwrap().read(Damage::Refuse).unwrap();
+    let opened = Reader::new(&exact(&pixels), &Limits::default()).unwrap().read().unwrap();
     let Samples::U8(all) = pixels.samples() else { unreachable!() };
     for factor in [2, 3, 7] {
         let view = opened.view().resized(20 * factor, 11 * factor).unwrap();
@@ -127,7 +127,7 @@ fn enlarged_pixels_have_sharp_edges() {
 #[test]
 fn halves_are_the_means_of_four_pixels() {
     let pixels = picture("noise", [10, 6], Channels::Grey, 8);
-    let opened = Reader::new(&exact(&pixels), &Limits::default()).unwrap().read(Damage::Refuse).unwrap();
+    let opened = Reader::new(&exact(&pixels), &Limits::default()).unwrap().read().unwrap();
     let view = opened.view().resized(5, 3).unwrap();
     let (Samples::U8(all), Samples::U8(half)) = (pixels.samples(), opened.render(&view).unwrap().into_samples()) else {
         panic!("8 bits")

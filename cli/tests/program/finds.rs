@@ -54,7 +54,7 @@ fn encoded(input: &Path, output: &Path, more: &[&str]) -> String {
 
 fn profile_in(file: &Path) -> Option<Vec<u8>> {
     let bytes = fs::read(file).unwrap();
-    let opened = ssplat::Reader::new(&bytes, &ssplat::Limits::default()).unwrap().read(ssplat::Damage::Refuse).unwrap();
+    let opened = ssplat::Reader::new(&bytes, &ssplat::Limits::default()).unwrap().read().unwrap();
     opened.metadata().icc.clone()
 }
 

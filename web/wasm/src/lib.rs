@@ -155,7 +155,7 @@ pub extern "C" fn decode(
         })?;
         let opening = open(input, &rest)?;
         let primitives = opening.header().primitives;
-        let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
+        let opened = opening.damage(if partial == 0 { Damage::Refuse } else { Damage::Accept }).read_for(&view)?;
         let mut samples = zeros(pixels as usize * channels)?;
         opened.render_into(&view, SamplesMut::U8(&mut samples))?;
         let missing = opened.missing();
@@ -187,7 +187,7 @@ pub extern "C" fn gaussians() -> u32 {
         let header = opening.header();
         let (width, height, primitives) = (header.width, header.height, header.primitives);
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
-        let opened = opening.read(Damage::Refuse)?;
+        let opened = opening.read()?;
         let stored = opened.gaussians()?;
         drop(opened);
         let mut bytes = zeros(36 * stored.list.len() + 16)?;
