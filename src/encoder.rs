@@ -172,6 +172,7 @@ impl Encoder {
     /// the memory of an encode. By default, pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless a GPU
     /// is used, pictures of more than 2²⁸ pixels always, and all others as a whole. With tiles, a [`Target::Quality`]
     /// applies to the mean of the tiles' scores.
+    #[cfg(any(test, feature = "unstable"))]
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);
@@ -187,6 +188,7 @@ impl Encoder {
 
     /// Sets the seed of all random numbers. Equal seeds give equal bytes with one version of this crate, on any number
     /// of threads. The default is 0.
+    #[cfg(any(test, feature = "unstable"))]
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.options.seed = seed;

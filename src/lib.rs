@@ -31,7 +31,7 @@
 //! ```
 //!
 //! [`Encoder::encode_with_progress`] reports progress and can be cancelled. A picture that is larger than memory is
-//! encoded from an implementation of [`PixelSource`], in [tiles](Encoder::tiles).
+//! encoded from an implementation of [`PixelSource`], in tiles of 2048 pixels.
 //!
 //! # Decoding
 //!

@@ -42,7 +42,6 @@ fn values_out_of_range_are_named_in_the_error() {
         (Encoder::new().ratio(f64::NAN), "ratio"),
         (Encoder::new().psnr(-1.0), "psnr"),
         (Encoder::new().levels(9), "levels"),
-        (Encoder::new().tiles(100), "tiles"),
         (Encoder::new().detail(Detail::GaussianShare(1.0)), "detail"),
     ] {
         let Err(Error::Parameter { parameter, .. }) = encoder.encode(&picture()) else { panic!("{wanted}") };
@@ -209,9 +208,7 @@ fn options_and_values_that_gaussians_cannot_have_are_named_in_the_error() {
     };
     for (encoder, wanted) in [
         (Encoder::new().effort(3), "effort"),
-        (Encoder::new().seed(1), "seed"),
-        (Encoder::new().tune(Tune::Ssim), "tune"),
-        (Encoder::new().tiles(256), "tiles"),
+        (Encoder::new().tune(Tune::Psnr), "tune"),
         (Encoder::new().psnr(30.0), "psnr"),
         (Encoder::new().time(std::time::Duration::from_secs(1)), "time"),
         (Encoder::new().detail(Detail::GaussianShare(0.5)), "detail"),
@@ -298,15 +295,12 @@ fn pictures_of_the_image_crate_are_encoded_as_their_pixels() {
     ];
     for picture in pictures {
         let pixels = Pixels::try_from(&picture).unwrap();
-        // As a whole, and in tiles, which read parts.
-        for encoder in [Encoder::new(), Encoder::new().detail(Detail::Off).tiles(128)] {
-            let encoder = encoder.bytes(300).effort(1);
-            assert!(
-                encoder.encode(&picture).unwrap().bytes == encoder.encode(&pixels).unwrap().bytes,
-                "{:?}",
-                picture.color()
-            );
-        }
+        let encoder = Encoder::new().bytes(300).effort(1);
+        assert!(
+            encoder.encode(&picture).unwrap().bytes == encoder.encode(&pixels).unwrap().bytes,
+            "{:?}",
+            picture.color()
+        );
     }
     let nothing = Encoder::new().encode(&image::DynamicImage::new_rgb8(0, 4));
     assert!(matches!(nothing, Err(Error::Parameter { .. })), "{nothing:?}");

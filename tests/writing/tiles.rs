@@ -555,6 +555,18 @@ fn a_picture_no_larger_than_a_tile_is_fitted_as_a_whole() {
 }
 
 #[test]
+fn pictures_of_the_image_crate_are_read_in_parts_as_their_pixels() {
+    let rgb = image::RgbImage::from_fn(200, 150, |x, y| image::Rgb([x as u8, y as u8, (x * y / 100) as u8]));
+    let rgb = image::DynamicImage::from(rgb);
+    for picture in [image::DynamicImage::from(rgb.to_luma_alpha16()), rgb] {
+        let pixels = Pixels::try_from(&picture).unwrap();
+        let encoder = Encoder::new().detail(Detail::Off).tiles(128).bytes(300).effort(1);
+        let [ours, theirs] = [encoder.encode(&pixels), encoder.encode(&picture)].map(|encoded| encoded.unwrap().bytes);
+        assert!(ours == theirs, "{:?}", picture.color());
+    }
+}
+
+#[test]
 fn options_that_exclude_tiles_are_parameter_errors() {
     let pixels = picture(300, 200, Channels::Grey);
     let refused = |name: &str, change: &dyn Fn(&mut EncodeOptions)| {
