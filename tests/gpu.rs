@@ -15,8 +15,8 @@ use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
-    Backend, Blend, Channels, Damage, Depth, Detail, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits,
-    Parameter, Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
+    Backend, Blend, Channels, Depth, Detail, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits, Parameter,
+    Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
