@@ -22,9 +22,7 @@ use std::time::Instant;
 use clap::Parser;
 use ssplat::gpu::{Adapters, Device, Renderer};
 use ssplat::unstable::EncodeOptions;
-use ssplat::{
-    Backend, Damage, Depth, Detail, Encoded, Limits, PixelSource, Pixels, Reader, Rect, SplatImage, Target, Tune,
-};
+use ssplat::{Backend, Depth, Detail, Encoded, Limits, PixelSource, Pixels, Reader, Rect, SplatImage, Target, Tune};
 use ssplat_cli::perceived;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
