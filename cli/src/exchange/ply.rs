@@ -465,7 +465,7 @@ mod tests {
         let fields = [3.0, 4.0, 7.0, 0.0, 0.0, 0.0, 200.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0];
         for (name, is_big) in [("binary_big_endian", true), ("binary_little_endian", false)] {
             let header = TEXT.replace("ascii", name);
-            let mut file = header[..header.find("3 4 7").unwrap()].as_bytes().to_vec();
+            let mut file = header.as_bytes()[..header.find("3 4 7").unwrap()].to_vec();
             for (k, v) in fields.into_iter().enumerate() {
                 let mut bytes = match k {
                     1 => f64::to_le_bytes(v).to_vec(),
