@@ -239,7 +239,7 @@ fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
 #[test]
 fn pictures_with_constant_channels_have_layers_with_every_tuning() {
     // Grey texture, stored with equal colours and opaque alpha.
-    let [width, height] = [110, 84u32];
+    let [width, height] = [140, 110u32];
     let grey =
         |i: u32| (90.0 + 60.0 * (0.3 * (i % width) as f32).sin()) as u8 + (i.wrapping_mul(2_654_435_761) >> 27) as u8;
     for channels in [Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
