@@ -12,7 +12,7 @@ pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2]) -> Result<Decode
     if let Some(small) = from_thumbnail(opening, [view.width(), view.height()])? {
         return Ok(small);
     }
-    let opened = opening.again().read_for(&view)?;
+    let opened = opening.read_for(&view)?;
     let (pixels, missing) = (opened.render(&view)?, opened.missing());
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }
