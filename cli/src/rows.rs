@@ -64,7 +64,10 @@ impl Format {
             "pam" => Ok(Format::Pam),
             other => match ImageFormat::from_extension(other) {
                 Some(format) if WHOLE.contains(&format) => Ok(Format::Whole(format)),
-                _ => Err(Failure::usage(format!("{extension:?} is not an extension of a format that can be written: {}", known()))),
+                _ => Err(Failure::usage(format!(
+                    "{extension:?} is not an extension of a format that can be written: {}",
+                    known()
+                ))),
             },
         }
     }

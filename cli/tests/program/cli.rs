@@ -444,7 +444,11 @@ fn wrong_usage_exits_with_2() {
         fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &options[0], &options[1]]), 2, message);
     }
     fails(ssplat(&[&"decode", &file, &folder.path("noextension")]), 2, "noextension");
-    fails(ssplat(&[&"decode", &file, &folder.path("o.gif")]), 2, "can be written: png, ppm, pgm, pnm, pam, bmp, ff, jpg, qoi, tga, ti");
+    fails(
+        ssplat(&[&"decode", &file, &folder.path("o.gif")]),
+        2,
+        "can be written: png, ppm, pgm, pnm, pam, bmp, ff, jpg, qoi, tga, ti",
+    );
     fails(ssplat(&[&"compare", &file, &PHOTO]), 2, "the pictures differ in size: 60×40 and 768×512");
     assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
 }
