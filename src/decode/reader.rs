@@ -25,16 +25,21 @@ use crate::rect::Rect;
 /// A file of which only the header has been read. It returns the size and the channels of the picture before memory is
 /// allocated for them.
 ///
-/// ```no_run
-/// use ssplat::{Damage, Limits, Reader};
+/// A reader serves any number of parts of one file, also from several threads at a time. [`Limits::alloc`] bounds the
+/// memory of all that has been read from it and is still in use.
 ///
-/// // A thumbnail of at most 256 × 256 pixels, of which only what it needs is read.
-/// let opening = Reader::open("photo.ssplat", &Limits::default())?;
-/// let whole = opening.view();
-/// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
-/// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
-/// let thumbnail = whole.resized(width, height)?;
-/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.render(&thumbnail)?;
+/// ```no_run
+/// use ssplat::{Damage, Limits, Reader, Rect};
+///
+/// // Tiles of a map; each reads what it needs from the bytes in memory.
+/// let reader = Reader::open("map.ssplat", &Limits::default())?;
+/// for x in [0, 256, 512] {
+///     let tile = reader.view().crop(Rect::new(x, 0, 256, 256))?;
+///     let pixels = reader.read_for(&tile, Damage::Refuse)?.render(&tile)?;
+/// }
+///
+/// // The whole picture within 256 × 256 pixels, from the thumbnail of the file if it has one.
+/// let small = reader.thumbnail([256, 256], Damage::Refuse)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -190,13 +195,6 @@ impl<'a> Reader<'a> {
         super::thumbnail::thumbnail(self, within, damage)
     }
 
-    /// Returns a reader of the same bytes with the same memory account.
-    pub(super) fn again(&self) -> Reader<'_> {
-        let Reader { header, rest, limits, budget } = self;
-        let (header, limits, budget) = (header.clone(), limits.clone(), budget.clone());
-        Reader { header, rest: Cow::Borrowed(rest), limits, budget }
-    }
-
     /// Returns the limits.
     pub(super) fn limits(&self) -> &Limits {
         &self.limits
@@ -207,7 +205,7 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
     /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
-    pub fn read(self, damage: Damage) -> Result<SplatImage> {
+    pub fn read(&self, damage: Damage) -> Result<SplatImage> {
         self.read_part(None, Layers::Both, damage)
     }
 
@@ -218,23 +216,23 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
     #[doc(alias("region", "crop"))]
-    pub fn read_for(self, view: &View, damage: Damage) -> Result<SplatImage> {
+    pub fn read_for(&self, view: &View, damage: Damage) -> Result<SplatImage> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
         self.read_part(Some(view.area()), view.shown(), damage)
     }
 
-    fn read_part(self, area: Option<Rect>, layers: Layers, damage: Damage) -> Result<SplatImage> {
+    fn read_part(&self, area: Option<Rect>, layers: Layers, damage: Damage) -> Result<SplatImage> {
         let Reader { header, rest, limits, budget } = self;
-        let reading = Reading { limits: &limits, budget: &budget, layers };
+        let reading = Reading { limits, budget, layers };
         let read = match damage {
-            Damage::Accept => reading.intact(&header, &rest).map(|(splats, missing)| (splats, missing, None)),
+            Damage::Accept => reading.intact(header, rest).map(|(splats, missing)| (splats, missing, None)),
             Damage::Refuse => reading
-                .whole(&header, &rest, area.as_ref(), &mut Tally::default())
+                .whole(header, rest, area.as_ref(), &mut Tally::default())
                 .map(|(splats, _)| (splats, MissingParts::default(), area)),
         };
-        let (splats, missing, area) = read.map_err(|error| reading.explained(&header, &rest, damage, error))?;
+        let (splats, missing, area) = read.map_err(|error| reading.explained(header, rest, damage, error))?;
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
         let layer = splats.detail.as_ref().map_or(0, |layer| layer.memory())
             + splats.exact.as_ref().map_or(0, |layer| layer.memory());
@@ -242,6 +240,7 @@ impl<'a> Reader<'a> {
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let kept = budget.reserve((carried + size_of_val(&damaged[..])) as u64 + layer)?;
+        let (limits, budget) = (limits.clone(), budget.clone());
         Ok(SplatImage { splats, missing, area, limits, budget, layers, integers, kept })
     }
 }

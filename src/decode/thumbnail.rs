@@ -13,7 +13,7 @@ pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2], damage: Damage) 
     if let Some(small) = from_thumbnail(opening, [view.width(), view.height()])? {
         return Ok(small);
     }
-    let opened = opening.again().read_for(&view, damage)?;
+    let opened = opening.read_for(&view, damage)?;
     let (pixels, missing) = (opened.render(&view)?, opened.missing());
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }

@@ -179,6 +179,53 @@ fn data_read_for_a_part_renders_only_that_part() {
 }
 
 #[test]
+fn one_reader_serves_many_parts_from_many_threads() {
+    let made = crate::synthetic::Scene { size: [2048, 1536], count: 40_000, ..Default::default() };
+    let bytes = to_bytes(&crate::synthetic::scene(&made)).unwrap();
+    let whole = decode(&bytes, &DecodeOptions::default()).unwrap().pixels;
+    let reader = Reader::from_read(&bytes[..], &Limits::default()).unwrap();
+    let tiles = |y| {
+        for x in [0, 900, 1984] {
+            let view = reader.view().crop(Rect::new(x, y, 64, 64)).unwrap();
+            let read = reader.read_for(&view, Damage::Refuse).unwrap();
+            assert!(read.splats().gaussians.len() < 40_000 / 2, "the whole picture is read for {x}, {y}");
+            let mut options = DecodeOptions::default();
+            options.region = Some(view.area());
+            assert_eq!(read.render(&view).unwrap(), decode(&bytes, &options).unwrap().pixels, "{x}, {y}");
+        }
+    };
+    std::thread::scope(|scope| {
+        for y in [0, 700, 1472] {
+            let tiles = &tiles;
+            scope.spawn(move || tiles(y));
+        }
+    });
+    // The reader is still there for the whole picture.
+    assert_eq!(reader.read(Damage::Refuse).unwrap().render(&reader.view()).unwrap(), whole);
+}
+
+#[test]
+fn what_is_read_from_one_reader_shares_one_limit() {
+    let made = crate::synthetic::Scene { size: [64, 64], count: 5000, ..Default::default() };
+    let bytes = to_bytes(&crate::synthetic::scene(&made)).unwrap();
+    let mut limits = Limits::default();
+    limits.alloc = 8 << 20;
+    let reader = Reader::new(&bytes, &limits).unwrap();
+    let mut held = Vec::new();
+    let error = loop {
+        match reader.read(Damage::Refuse) {
+            Ok(image) => held.push(image),
+            Err(error) => break error,
+        }
+        assert!(held.len() < 1000, "there is no end");
+    };
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::Alloc, .. }), "{error}");
+    assert!(!held.is_empty());
+    held.clear();
+    reader.read(Damage::Refuse).unwrap();
+}
+
+#[test]
 fn simultaneous_views_share_one_limit() {
     let made = crate::synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&crate::synthetic::scene(&made)).unwrap();
