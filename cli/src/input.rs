@@ -6,8 +6,8 @@ use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use image::ImageFormat;
-use ssplat::Limits;
 use ssplat::unstable::bitstream::header::MAGIC;
+use ssplat::{FormatError, Limits};
 
 use crate::failure::{Failure, Kind};
 use crate::sniff::{Sniffed, sniff};
@@ -88,6 +88,10 @@ impl Seek for Input {
 /// their length.
 pub fn read_splats(path: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = read(path, Limits::default().alloc, |start| start.starts_with(&MAGIC))?;
+    if bytes.is_empty() {
+        let empty = FormatError::CutOff { bytes: 0, of: None, partial: false };
+        return Err(Failure::library(path, &empty.into()));
+    }
     match other_picture(&bytes) {
         Some(kind) => {
             let message = format!("{}: not an ssplat file: it is {kind}", Failure::input(path));
