@@ -68,8 +68,8 @@ impl Loss {
     /// Replaces the picture of all rows in `field` ([`Output::Picture`]) by the gradient, in the layout of
     /// [`Output::Gradient`]. Where the picture is outside `0..=1`, the gradient is 0, as it is behind a clamp.
     ///
-    /// [`Output::Picture`]: crate::fit::model::drawing::field::Output::Picture
-    /// [`Output::Gradient`]: crate::fit::model::drawing::field::Output::Gradient
+    /// [`Output::Picture`]: ssplat::unstable::fit::model::drawing::field::Output::Picture
+    /// [`Output::Gradient`]: ssplat::unstable::fit::model::drawing::field::Output::Gradient
     pub fn gradient(&mut self, problem: &Problem<'_>, field: &mut Field) {
         let Problem { scene, target } = *problem;
         let (channels, stride, width) = (target.channels.count(), field.stride, self.width);

@@ -62,9 +62,12 @@ pub enum Ablation {
     Colors,
 }
 
+/// All steps of the ablation, in its order.
+pub static ABLATION: [Ablation; 4] = [Ablation::Random, Ablation::Means, Ablation::Scales, Ablation::Colors];
+
 impl FitMethod for Ablation {
-    fn start(&self, job: &MethodJob<'_>) -> Vec<Primitive> {
-        initial(job.problem.target, job.count, *self, &mut Pcg64Mcg::seed_from_u64(job.seed))
+    fn start(&self, job: &MethodJob<'_>, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
+        initial(job.problem.target, job.count, *self, rng)
     }
 
     /// Fits like SmartSplat. `watcher` corrects the number of primitives once.
@@ -564,8 +567,7 @@ mod tests {
     fn all_parts_have_an_effect_and_fill_the_size() {
         let pixels = picture(96, 64);
         let mut all = Vec::new();
-        let parts: [&'static Ablation; 4] = [&Ablation::Random, &Ablation::Means, &Ablation::Scales, &Ablation::Colors];
-        for parts in parts {
+        for parts in &ABLATION {
             let encoded = encode(&pixels, &options(Recipe::Other(parts))).unwrap();
             assert!((540..=600).contains(&encoded.bytes.len()), "{parts:?} {}", encoded.bytes.len());
             let file = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();

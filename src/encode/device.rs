@@ -192,7 +192,7 @@ pub(super) fn takes_gpu(options: &EncodeOptions) -> bool {
 #[cfg(feature = "gpu")]
 fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuError> {
     if !options.recipe.is_own() {
-        return Err(GpuError::Unsupported { what: "the recipe of another method" });
+        return Err(GpuError::Unsupported { what: "another method of fitting" });
     }
     // A caller that requests the GPU explicitly may want a software adapter.
     let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };

@@ -27,8 +27,8 @@ pub enum SkipReason {
     ColorAndAlpha,
     /// Colours under alpha 0, which are replaced with a continuation of the visible ones.
     HiddenColors,
-    /// The weights of [`Tune::Iq`](crate::Tune::Iq), because the picture is so
-    /// uniform that they are the same everywhere.
+    /// The weights of [`Tune::Iq`](crate::Tune::Iq), because the picture is so uniform that they are the same
+    /// everywhere.
     StructureWeights,
     /// The fit, because the picture has only one colour.
     Fit,

@@ -1,5 +1,7 @@
 //! The interface of other methods of fitting, which the lab compares with that of this crate.
 
+use rand_pcg::Pcg64Mcg;
+
 use crate::error::Result;
 use crate::fit::engine::Watcher;
 use crate::fit::model::drawing::project::Primitive;
@@ -22,8 +24,8 @@ pub struct MethodJob<'a> {
 /// Another method of fitting.
 #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools bring other methods"))]
 pub trait FitMethod: std::fmt::Debug + std::panic::RefUnwindSafe + Sync {
-    /// Returns the primitives at which its fit starts.
-    fn start(&self, job: &MethodJob<'_>) -> Vec<Primitive>;
+    /// Returns the primitives at which its fit starts. The fit goes on with `rng`.
+    fn start(&self, job: &MethodJob<'_>, rng: &mut Pcg64Mcg) -> Vec<Primitive>;
 
     /// Returns the fitted primitives. `watcher` follows the progress, and may correct the number of primitives once.
     ///

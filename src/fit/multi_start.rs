@@ -74,11 +74,9 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     let Job { problem, count, plan } = *job;
     if let Some(method) = plan.start_of {
         let bounds = Bounds::new(problem.target.width, problem.target.height);
-        return Ok(Start {
-            state: State::new(job.given_to(|job| method.start(job)), bounds),
-            rng: random(plan),
-            from: 0,
-        });
+        let mut rng = random(plan);
+        let primitives = job.given_to(|job| method.start(job, &mut rng));
+        return Ok(Start { state: State::new(primitives, bounds), rng, from: 0 });
     }
     if !plan.initial.is_empty() {
         let bounds = Bounds::new(problem.target.width, problem.target.height);

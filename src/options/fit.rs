@@ -1,7 +1,7 @@
 //! Options of the encoder that a fit sees.
 
 /// Steps of an ablation from another method to that of this crate. Each step adds to the previous ones; normal encodes
-/// use the last. The first two belong to [`Recipe::Other`].
+/// use the last. The first two belong to [`Recipe::Other`](crate::options::Recipe::Other).
 #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub enum Rung {

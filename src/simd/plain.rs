@@ -6,7 +6,7 @@ use super::{LANES, Simd};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plain;
 
-/// Evaluates an expression for each lane. Written out, since closures and loops take compilers several times as long.
+/// Evaluates an expression for each lane. It is written out, because nested closures make builds slower.
 macro_rules! each_lane {
     ($i:ident => $value:expr) => {
         each_lane!($i, $value, 0 1 2 3 4 5 6 7)

@@ -3,6 +3,7 @@ import { spawn } from "node:child_process"
 import { mkdtempSync, rmSync } from "node:fs"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
+import { end } from "./browser.mjs"
 
 // Starts Chromium; returns undefined if it is not installed. `onEvent` is called with {method, params, sessionId}. After `patience` milliseconds
 // all requests fail.
@@ -67,13 +68,7 @@ export async function chromium(onEvent = () => {}, patience = 120_000) {
 
   async function close() {
     clearTimeout(alarm)
-    // Ends the whole process group, including its children.
-    try {
-      process.kill(-browser.pid, "SIGKILL")
-    } catch {
-      browser.kill("SIGKILL")
-    }
-    await ended
+    await end(browser, ended)
     rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 })
   }
   return { send, page, close }

@@ -4,6 +4,7 @@ import { mkdtempSync, readFileSync, rmSync } from "node:fs"
 import { createServer } from "node:http"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
+import { end } from "./browser.mjs"
 
 const types = { html: "text/html", js: "text/javascript", mjs: "text/javascript", wasm: "application/wasm", png: "image/png", css: "text/css" }
 // Not a test of speed: a page that never answers is a failure.
@@ -60,13 +61,7 @@ try {
   const alarm = setTimeout(() => finish({ problems: [`no answer in ${patience / 1000} s`], words: "hung" }), patience)
   const result = await answer
   clearTimeout(alarm)
-  // Ends the whole process group, including its children.
-  try {
-    process.kill(-browser.pid, "SIGKILL")
-  } catch {
-    browser.kill("SIGKILL")
-  }
-  await ended
+  await end(browser, ended)
   server.closeAllConnections()
   server.close()
   // Its children may still be writing.

@@ -3,7 +3,7 @@
 // written.
 import { writeFileSync } from "node:fs"
 import { firefox } from "./marionette.mjs"
-import { serve, vector } from "./service-worker.mjs"
+import { ids, ready, serve, vector } from "./service-worker.mjs"
 import { pixelsOfPng } from "./png.mjs"
 import { decode } from "../dist/ssplat.js"
 
@@ -22,7 +22,7 @@ if (browser) {
         if (await browser.evaluate(expression).catch(() => false)) return true
       return false
     }
-    const expected = (await decode(a)).data, ids = ["src", "srcset", "picture", "sheet", "inline", "svg", "element"]
+    const expected = (await decode(a)).data
     // Compares places on the screen, where 24 × 16 pixels are shown as they are, with the file.
     const differences = async () => {
       const places = JSON.parse(await browser.evaluate(`JSON.stringify(${JSON.stringify(ids)}.map(id => {
@@ -43,7 +43,6 @@ if (browser) {
       for (let i = 0; i < 50 && (wrong = await differences()).length; i++) await new Promise(r => setTimeout(r, 100))
       check(!wrong.length, `${what}: other pixels are seen in ${wrong}`)
     }
-    const ready = `document.readyState == "complete" && navigator.serviceWorker.controller && document.getElementById("element").complete && document.images[0].naturalWidth`
 
     // The first visit: the pictures fail, the worker starts, and they are loaded again.
     await browser.navigate(`${origin}/first`)

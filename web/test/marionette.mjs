@@ -4,6 +4,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs"
 import { connect } from "node:net"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
+import { end } from "./browser.mjs"
 
 // Starts Firefox in a profile of its own; returns undefined if it is not installed. After `patience` milliseconds all requests fail.
 export async function firefox(patience = 300_000) {
@@ -25,13 +26,7 @@ export async function firefox(patience = 300_000) {
   const alarm = setTimeout(() => fail(`no answer in ${patience / 1000} s`), patience)
   const close = async () => {
     clearTimeout(alarm)
-    // Ends the whole process group, including its children.
-    try {
-      process.kill(-browser.pid, "SIGKILL")
-    } catch {
-      browser.kill("SIGKILL")
-    }
-    await ended
+    await end(browser, ended)
     rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 })
   }
   try {

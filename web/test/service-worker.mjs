@@ -37,6 +37,9 @@ div { width: 24px; height: 16px }
 <img id="broken" src="/broken.ssplat"><img id="missing" src="/missing.ssplat"><img id="text" src="/text.ssplat">
 <img id="png" src="/png.ssplat"><img id="other" src="/tests/images/kodim15.png" width="24">
 <script type="module" src="/web/dist/ssplat-img.js"></script>${registered}`
+// The places of the page where a picture is seen, and whether it is loaded by the worker.
+export const ids = ["src", "srcset", "picture", "sheet", "inline", "svg", "element"]
+export const ready = `document.readyState == "complete" && navigator.serviceWorker.controller && document.getElementById("element").complete && document.images[0].naturalWidth`
 const pages = {
   "/first": first,
   "/files": `<!doctype html>${registered}`,
@@ -135,9 +138,7 @@ export async function test() {
     })()`))
 
     // The first visit: the pictures fail, the worker starts, and they are loaded again.
-    const ids = ["src", "srcset", "picture", "sheet", "inline", "svg", "element"]
     const page = await browser.page(`${origin}/first`, ask => ask("Network.enable"))
-    const ready = `document.readyState == "complete" && navigator.serviceWorker.controller && document.getElementById("element").complete && document.images[0].naturalWidth`
     check(await until(page, ready), "the worker does not answer the first page")
     check(await page.evaluate("window.result") === true, "registerSsplat tells that it does not work")
     check(await until(page, `["src", "srcset", "picture"].every(id => document.getElementById(id).naturalWidth == 24)`), "a picture is missing on the first visit")

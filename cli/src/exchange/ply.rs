@@ -172,7 +172,7 @@ impl Header {
                 return Err(format!("the header has no end_header in its first {MOST_HEADER} bytes").into());
             };
             (at, number) = (at + length + 1, number + 1);
-            let text = std::str::from_utf8(&rest[..length]).map_err(|_| format!("line {number} is no text"))?;
+            let text = std::str::from_utf8(&rest[..length]).map_err(|_| format!("line {number} is not UTF-8 text"))?;
             Ok((at, number, text.trim()))
         };
         if !file.starts_with(b"ply") || line()?.2 != "ply" {

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use axum::Router;
 use axum::body::Bytes;
 use axum::extract::{DefaultBodyLimit, Path as Parts, State};
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use ssplat::{Encoder, Error, Limits, Reader, Rect};
@@ -27,14 +27,13 @@ const MOST_BYTES: usize = 32 << 20;
 /// - `/tile/Z/X/Y.png`: tile X, Y of 256 × 256 pixels of the picture at 1 / 2^Z of its size.
 /// - `/file.ssplat`: the file; requests with a range get that part.
 ///
-/// The file is opened once. Each tile reads its own bytes of it, and takes the more time, the more Gaussians it shows.
+/// The file is opened once. Each tile reads only the bytes that it needs, so a tile with few Gaussians is fast.
 ///
 /// # Errors
 /// As [`Reader::open`].
 pub fn tiles(path: &Path) -> ssplat::Result<Router> {
     let reader = Arc::new(Reader::open(path, &Limits::default())?);
-    let kind = HeaderValue::from_static("image/x-ssplat");
-    let file = ServeFile::new_with_mime(path, &kind.to_str().expect("text").parse().expect("a media type"));
+    let file = ServeFile::new_with_mime(path, &"image/x-ssplat".parse().expect("a media type"));
     Ok(Router::new().route("/tile/{z}/{x}/{name}", get(tile)).with_state(reader).route_service("/file.ssplat", file))
 }
 

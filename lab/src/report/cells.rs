@@ -9,10 +9,10 @@ use serde_json::{Value, json};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Recipe, Trace};
-
-use crate::smartsplat::Ablation;
 use ssplat::{Backend, Blend, Limits, Pixels, Rect, Target, Tune};
 use ssplat::{Renderer, View};
+
+use crate::smartsplat::Ablation;
 
 use ssplat_cli::compare;
 use ssplat_cli::failure::Failure;

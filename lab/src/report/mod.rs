@@ -17,7 +17,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 use ssplat::{Backend, Blend, Channels, Pixels, Samples};
 
-use crate::smartsplat::Ablation;
+use crate::smartsplat::{ABLATION, Ablation};
 use args::{Codecs, Recipes};
 use cells::{Cell, Job, Setup, Subject};
 use codecs::Anchor;
@@ -107,10 +107,7 @@ fn jobs(args: &args::Report, backends: &[Backend], subjects: usize, (ratio, effo
     setups.extend(args.efforts.iter().map(|&effort| Setup { effort, ..own }));
     setups.push(Setup { blend: Some(Blend::Sum), ..own });
     if args.recipes == Recipes::All {
-        let steps: [&Ablation; 4] = [&Ablation::Random, &Ablation::Means, &Ablation::Scales, &Ablation::Colors];
-        for step in steps {
-            setups.push(Setup { smartsplat: Some(step), ..own });
-        }
+        setups.extend(ABLATION.iter().map(|step| Setup { smartsplat: Some(step), ..own }));
         setups.push(Setup { smartsplat: Some(&Ablation::Colors), blend: Some(Blend::Normalized), ..own });
     }
     setups.extend(backends.iter().map(|&backend| Setup { backend, ..own }));
