@@ -1,4 +1,6 @@
 """The tables and the chart of whole sets of pictures in docs/BENCHMARKS.md, from the measurements of lab/sets.py."""
+import math
+
 from other_codecs import JPEG_XL, MEASURES, WEBP, avif, mean
 from report import commit_of, measured_when, multiples, number, signed, table, write_tables
 
@@ -85,18 +87,35 @@ def pixels_of(picture):
     return width * height
 
 
+# Points of SSIMULACRA2 by which an effort may be below the hull of the others: scores scatter by 0.1 in the mean of a set.
+BELOW_HULL = 0.2
+
+
+def below_hull(efforts):
+    """Returns the efforts, with (seconds, points), that lie below the upper hull of points over the logarithm of time."""
+    def short(effort):
+        seconds, points = efforts[effort]
+        others = [(math.log(s), p) for other, (s, p) in efforts.items() if other != effort]
+        faster, slower = [o for o in others if o[0] <= math.log(seconds)], [o for o in others if o[0] > math.log(seconds)]
+        chords = [p + (q - p) * (math.log(seconds) - a) / (b - a) for a, p in faster for b, q in slower]
+        return max([p for _, p in faster] + chords, default=points) - points
+    return {effort: short(effort) for effort in efforts if short(effort) > BELOW_HULL}
+
+
 def effort_rows(lab, name, set_name, ratio, efforts):
-    """Returns the rows of a set: CPU seconds and quality of efforts, and of AVIF at the bytes of the default effort."""
+    """Returns the rows of a set: CPU seconds and quality of efforts, and of AVIF at the bytes of the default effort. Also
+    returns the efforts that are not worth their time."""
     pictures = {picture: lab.ours(name, picture, ratio) for picture in lab.pictures(set_name)}
     speeds = {speed: {picture: lab.files.best(picture, avif(speed), ours["bytes"]) for picture, ours in pictures.items()} for speed in EFFORT_SPEEDS[set_name]}
     covered = [picture for picture in pictures if all(found[picture] for found in speeds.values())]
 
     def row(encoder, seconds, of):
         return [set_name, ratio, f"{len(covered)} of {len(pictures)}", encoder, number(mean(seconds), 2), *(number(mean(made[key] for made in of), COLUMNS[key]) for key in ("ssimulacra2", "butteraugli", "ms_ssim"))]
-    rows = []
+    rows, curve = [], {}
     for effort in efforts:
         of = [lab.ours(name, picture, ratio, [] if effort == DEFAULT_EFFORT else ["--effort", effort]) for picture in covered]
         rows.append(row(f"ssplat, effort {effort}", [made["seconds"] for made in of], of))
+        curve[effort] = mean(made["seconds"] for made in of), mean(made["ssimulacra2"] for made in of)
     for speed, found in speeds.items():
         seconds = []
         for picture in covered:
@@ -104,14 +123,14 @@ def effort_rows(lab, name, set_name, ratio, efforts):
             qualities = lab.files.around(picture, codec, [pictures[picture]["bytes"]])
             seconds.append(mean(lab.files.seconds(picture, codec, quality, lab.args.repeat) for quality in qualities))
         rows.append(row(f"AVIF, speed {speed}", seconds, [found[picture] for picture in covered]))
-    return rows
+    return rows, below_hull(curve)
 
 
 def write(lab, root):
     """Measures the sets with the first program. With --page, writes their tables and the chart; with --efforts, the table
-    of encoding times."""
+    of encoding times. Returns messages about efforts that are not worth their time."""
     args, name = lab.args, next(iter(lab.programs))
-    tables, panels, rows = {}, {}, []
+    tables, panels, rows, wasted = {}, {}, [], []
     when = measured_when(args.commit or commit_of(root))
     for set_name in args.sets.split(",") if args.page else []:
         found = {ratio: measured_set(lab, name, set_name, ratio) for ratio in (args.ratios.split(",") if args.ratios else RATIOS[set_name])}
@@ -124,12 +143,16 @@ def write(lab, root):
         tables["sets when"] = when
     for set_name in args.sets.split(",") if args.efforts else []:
         for ratio in EFFORT_RATIOS:
-            rows += effort_rows(lab, name, set_name, ratio, args.efforts.split(","))
+            more, short = effort_rows(lab, name, set_name, ratio, args.efforts.split(","))
+            rows += more
+            wasted += [f"{set_name} at {ratio}: effort {effort} is {points:.1f} points below the hull of the others" for effort, points in short.items()]
             print(set_name, ratio, "efforts done", flush=True)
     if rows:
         tables["set efforts"] = table(["set", "ratio", "pictures", "encoder", "CPU s", *HEAD[:3]], rows, 4) + f"\n\n{when}"
         print(tables["set efforts"], flush=True)
+    print(*wasted, sep="\n", flush=True)
     write_tables(root / "docs/BENCHMARKS.md", tables)
     if all(set_name in panels for set_name in CHART):
         chart = multiples(dict(panels[set_name] for set_name in CHART), (0.1, 5.0, (0.1, 0.2, 0.5, 1, 2, 5), "bits per pixel (24 divided by the ratio)"), (-20, 100, 20))
         (root / "docs/sets.svg").write_text(chart)
+    return wasted

@@ -23,9 +23,9 @@ the results. lab/fit_division.py fits the constants of src/encode/allocation.rs.
 
 --page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
 XL (effort 7) and WebP (method 6). The chart is written if all four of its sets are measured. --efforts writes the table of
-encoding times, alone or with --page. Both need Pillow 12 or newer and the package pillow-jxl-plugin.
+encoding times, alone or with --page, and fails if another effort, or a mixture of two others, gives more for the time of one. Both need Pillow 12 or newer and the package pillow-jxl-plugin.
 """
-import argparse, csv, json, os, pathlib, shlex, tempfile
+import argparse, csv, json, os, pathlib, shlex, sys, tempfile
 
 import set_tables
 from other_codecs import MEASURES, Cache, Files, at, avif, mean, measured, programs, run
@@ -197,7 +197,7 @@ def shares(lab):
 if __name__ == "__main__":
     lab = Lab(arguments())
     if lab.args.page or lab.args.efforts:
-        set_tables.write(lab, root)
+        sys.exit(1 if set_tables.write(lab, root) else 0)
     elif lab.args.shares:
         shares(lab)
     else:

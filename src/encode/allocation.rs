@@ -416,10 +416,10 @@ mod tests {
         assert_eq!([50, 100, 200].map(|ratio| has(coarse, ratio)), [true, true, false]);
         assert_eq!([50, 100, 200].map(|ratio| has(fine, ratio)), [true, true, true]);
         assert_eq!([50, 100, 200].map(|ratio| has(None, ratio)), [true, false, false]);
-        // At effort 1, large pictures need finer texture for one.
+        // At effort 2, large pictures need finer texture for one.
         let largest = |effort, pixels| largest_ratio(&of(effort), pixels, coarse);
-        assert_eq!(largest(1, PIXELS_OF_512), largest(2, PIXELS_OF_512));
-        assert!(largest(1, LARGE_PIXELS) < 0.5 * largest(2, LARGE_PIXELS));
+        assert_eq!(largest(2, PIXELS_OF_512), largest(3, PIXELS_OF_512));
+        assert!(largest(2, LARGE_PIXELS) < 0.5 * largest(3, LARGE_PIXELS));
         // Files below the minimum size have no layer, whatever the picture.
         assert!(!has(texture(9.0, 4.0), 400));
         // Larger pictures gain from a layer at larger ratios.

@@ -14,7 +14,7 @@ use crate::fit::model::adam::Bounds;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::objective::{masking, structure};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::plan::{Plan, fraction};
+use crate::fit::plan::{Plan, reduction};
 use crate::fit::state::State;
 use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
@@ -37,7 +37,9 @@ pub(super) struct FittedWhole {
 
 /// Fits about `count` primitives to `picture`.
 pub(super) fn fit(picture: &mut WholePicture<'_>, count: usize, request: &FitRequest) -> Result<FittedWhole> {
-    weigh(picture, count);
+    if picture.state.settings.fit.base.weighs_pixels || request.under_layer.is_none() {
+        weigh(picture, count);
+    }
     let (input, planes, options) = (picture.input, &picture.planes, picture.state.options);
     let plan = plan(picture, count, request);
     let scene = input.scene(planes.mean);
@@ -78,7 +80,7 @@ fn plan(picture: &WholePicture<'_>, count: usize, request: &FitRequest) -> Plan 
     let mut plan = Plan::new(&settings, count, area, time, options.seed);
     if let Some(UnderLayer { ratio, patience, .. }) = request.under_layer {
         plan = plan.for_base(&settings.base, options.favoured(), ratio, patience);
-        plan.by = fraction(area, count);
+        plan.by = reduction(&settings.base.reduction, area, count);
     } else {
         plan = plan.alone(&settings, options.favoured());
     }

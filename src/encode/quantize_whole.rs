@@ -24,6 +24,9 @@ use crate::target::Target;
 /// [`Error::TooSmall`](crate::Error::TooSmall) if the file cannot be that small.
 pub(super) fn quantize(picture: &mut WholePicture<'_>, fitted: FittedWhole, request: &FitRequest) -> Result<Outcome> {
     let mut outcome = rounded(picture, fitted, request)?;
+    if request.under_layer.is_some() && !picture.state.settings.fit.base.is_checked {
+        return Ok(outcome);
+    }
     if picture.state.options.needs == Needs::Measured {
         let max_error = picture.input.pixels.depth().rounding_error() * picture.state.fitted_samples();
         prune::prune(picture, &mut outcome, max_error)?;

@@ -8,7 +8,6 @@ use super::report::ReportBuilder;
 use super::state::Outcome;
 use super::{Encoded, Progress};
 use crate::bitstream::splats::PackedSplats;
-use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
 use crate::options::{Backend, Detail, EncodeOptions, Thumbnail};
 use crate::parameter::Parameter;
@@ -32,7 +31,10 @@ const MAX_BYTES: u64 = 4000;
 /// Maximum overhead of a section, bytes: the number of sections, name, length and checksum.
 const HEADER_BYTES: u64 = 1 + 4 + 5 + 4;
 /// Maximum effort of a thumbnail. It takes little work compared with a large picture.
-const EFFORT: u8 = 2;
+const EFFORT: u8 = 3;
+/// Factor on the iterations of the fit of a thumbnail. With twice the iterations, the thumbnails of three photographs of
+/// 2.8 megapixels would gain 0.08 dB, and the encodes would take a sixteenth more time.
+const ITERATIONS: f32 = 0.3;
 /// Time budget of the encode relative to that of the thumbnail.
 const TIME: u32 = 20;
 
@@ -82,10 +84,9 @@ fn of(
 ) -> Result<Vec<u8>> {
     let whole = View::of_size(splats.width, splats.height);
     let small = drawn(splats, &whole.fitted([MAX_SIDE; 2])?, splats.depth)?;
-    let effort = options.effort;
     let options = EncodeOptions {
         target: Target::Bytes(max_bytes),
-        effort: effort.min(EFFORT),
+        effort: options.effort.min(EFFORT),
         time: options.time.map(|t| t / TIME),
         seed: options.seed,
         tune: options.tune,
@@ -96,8 +97,7 @@ fn of(
         detail: Detail::Off,
         ..EncodeOptions::default()
     };
-    let iterations = EffortSettings::from_preset(effort).thumbnail_iterations;
-    let made = encode(&small, &options, iterations, &mut |p| on_progress(p.done));
+    let made = encode(&small, &options, ITERATIONS, &mut |p| on_progress(p.done));
     let Encoded { bytes, .. } = made.map_err(|e| match e {
         Error::TooSmall { .. } => Error::Parameter { parameter: Parameter::Thumbnail, problem: e.to_string() },
         e => e,

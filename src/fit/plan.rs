@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::effort::{BaseFitSettings, FitSettings, HalfSize};
+use crate::effort::{BaseFitSettings, FitSettings, HalfSize, Reduction};
 use crate::fit::method::FitMethod;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE_PIXELS;
@@ -27,11 +27,9 @@ const FINE_RATIOS: [f64; 2] = [20.0, 50.0];
 const MAX_BASE_RELOCATIONS: u32 = 10;
 const MIN_BASE_RELOCATION_INTERVAL: u32 = 10;
 
-/// Minimum number of pixels per primitive in the downscaled picture to which primitives under a detail layer are
-/// fitted.
-const MIN_PIXELS_EACH: f64 = 300.0;
-/// Largest factor by which that picture is downscaled.
-const MAX_REDUCTION: u32 = 4;
+/// Numbers of pixels of small and of large pictures. Between them, the minimum number of pixels per primitive depends on
+/// the logarithm of the number.
+const REDUCED_SIZES: [f64; 2] = [393_216.0, 2_800_000.0];
 /// Step sizes at the end of a fit, relative to those at the start.
 pub(crate) const LAST_RATE: f32 = 0.02;
 /// Maximum share of the primitives in each relocation at a steady pace.
@@ -88,10 +86,13 @@ pub(crate) struct Plan {
 
 /// Returns the factor, a power of two, by which a picture of `pixels` pixels may be downscaled while `count` primitives
 /// are fitted to it under a detail layer.
-pub(crate) fn fraction(pixels: u64, count: usize) -> u32 {
+pub(crate) fn reduction(settings: &Reduction, pixels: u64, count: usize) -> u32 {
+    let ([small, large], [least, most]) = (REDUCED_SIZES, settings.min_pixels_each);
+    let share = ((pixels as f64 / small).strict_ln() / (large / small).strict_ln()).clamp(0.0, 1.0);
+    let min_pixels_each = least * (most / least).strict_powf(share);
     let pixels_each = pixels as f64 / count.max(1) as f64;
     let mut by = 1;
-    while by < MAX_REDUCTION && pixels_each / f64::from(4 * by * by) >= MIN_PIXELS_EACH {
+    while by < settings.max_factor && pixels_each / f64::from(4 * by * by) >= min_pixels_each {
         by *= 2;
     }
     by
@@ -230,10 +231,19 @@ mod tests {
 
     #[test]
     fn pictures_are_downscaled_only_while_each_primitive_has_enough_pixels() {
-        let sizes =
-            [(393_216, 2000, 1), (2_400_000, 2000, 2), (9_599_999, 2000, 2), (9_600_000, 2000, 4), (1 << 40, 0, 4)];
-        for (pixels, count, by) in sizes {
-            assert_eq!(fraction(pixels, count), by, "{pixels} pixels, {count} primitives");
+        let sizes = [
+            (1, [(393_216, 2000, 2), (393_216, 300, 8)]),
+            (5, [(393_216, 400, 1), (393_216, 300, 2)]),
+            (5, [(1_049_000, 1500, 2), (1_049_000, 2000, 1)]),
+            (5, [(2_800_000, 9300, 2), (2_800_000, 9400, 1)]),
+            (5, [(2_400_000, 1000, 4), (1 << 40, 0, 4)]),
+        ];
+        for (effort, cases) in sizes {
+            let settings = EffortSettings::from_preset(effort).fit.base.reduction;
+            for (pixels, count, by) in cases {
+                let found = reduction(&settings, pixels, count);
+                assert_eq!(found, by, "{pixels} pixels, {count} primitives, effort {effort}");
+            }
         }
     }
 

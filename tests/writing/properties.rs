@@ -392,7 +392,7 @@ fn constant_channels_need_no_second_fit() {
 fn a_quality_means_the_same_for_small_pictures() {
     for size in [[300, 12], [16, 16], [3, 90], [1, 1]] {
         let pixels = waves(size, Channels::Rgb, |_, _| 255);
-        let mut options = to_bytes(0, 2);
+        let mut options = to_bytes(0, 3);
         options.target = Target::Quality(70.0);
         let (encoded, picture) = checked(&pixels, &options).unwrap();
         let found = metrics::psnr(&pixels, &picture).unwrap();

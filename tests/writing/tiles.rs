@@ -148,7 +148,7 @@ fn gaussians_fitted_at_reduced_size_are_as_good_at_full_size() {
     let pixels = picture(669, 467, Channels::Rgb);
     for tiles in [None, Some(512)] {
         let mut with_layer = options(Target::Ratio(30.0), tiles);
-        (with_layer.tune, with_layer.detail) = (Some(Tune::Psnr), Detail::GaussianShare(0.02));
+        (with_layer.tune, with_layer.detail, with_layer.effort) = (Some(Tune::Psnr), Detail::GaussianShare(0.02), 3);
         let encoded = ssplat::unstable::encode(&pixels, &with_layer).unwrap();
         let mut base = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
         base.detail = None;
@@ -160,7 +160,7 @@ fn gaussians_fitted_at_reduced_size_are_as_good_at_full_size() {
         let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default()).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
         let mut alone = options(Target::Primitives(count as u32), tiles);
-        alone.tune = Some(Tune::Psnr);
+        (alone.tune, alone.effort) = (Some(Tune::Psnr), 3);
         let alone = ssplat::unstable::encode(&pixels, &alone).unwrap().report.psnr;
         println!("{tiles:?}: {count} Gaussians, {psnr} dB, {alone} by a whole fit");
         assert!(psnr > alone - 0.5, "{tiles:?}: {count} Gaussians, {psnr} dB, {alone} by a whole fit");

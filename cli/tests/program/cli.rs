@@ -115,7 +115,7 @@ fn perceptual_tuning_looks_better_and_costs_about_a_decibel() {
     let folder = Folder::new();
     let [psnr, iq] = ["psnr", "iq"].map(|tune| {
         let file = folder.path(tune);
-        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"200", &"--effort", &"2", &"--tune", &tune]));
+        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"200", &"--effort", &"3", &"--tune", &tune]));
         succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]))
     });
     let gain = |key| number(&iq, key) - number(&psnr, key);

@@ -253,7 +253,7 @@ fn a_drawing_that_a_png_holds_better_is_named() {
         |x: u32, y: u32| Rgb(if x.is_multiple_of(40) || y.is_multiple_of(30) { [0; 3] } else { [255, 250, 240] });
     RgbImage::from_fn(200, 150, line).save(&drawing).unwrap();
     let encode = |input: &Path, more: &[&str]| {
-        let found = ssplat(&[&["encode", text(input), text(&out), "--effort", "1", "--force"][..], more].concat());
+        let found = ssplat(&[&["encode", text(input), text(&out), "--effort", "2", "--force"][..], more].concat());
         said(&found);
         told(&found)
     };

@@ -88,6 +88,7 @@ pub(super) fn smallest_step<E>(
     mut step: f64,
     mut run: impl FnMut(u16) -> Result<Coded, E>,
 ) -> Result<Option<Coded>, E> {
+    // The largest step that does not fit, the smallest that does, and their bytes, all as logarithms.
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
     let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
     let mut best: Option<Coded> = None;
@@ -131,7 +132,13 @@ pub(super) fn smallest_step<E>(
             (None, Some(b)) => b[0] - ((goal - b[1]) / fall).clamp(0.001, 3.0),
             (None, None) => break,
         };
-        step = next.strict_exp();
+        // Steps are integers, and no step is tried twice.
+        let least = over.map_or(1.0, |[step, _]| step.strict_exp().round() + 1.0);
+        let most = under.map_or(65_535.0, |[step, _]| step.strict_exp().round() - 1.0);
+        if least > most {
+            break;
+        }
+        step = next.strict_exp().round().clamp(least, most);
     }
     Ok(best)
 }
@@ -289,6 +296,7 @@ impl Magnitudes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bitstream::detail::DetailHead;
     use crate::encode::detail::flat_cells::Ringing;
     use crate::encode::detail::search_settings;
     use crate::gaussian::Channels;
@@ -336,6 +344,27 @@ mod tests {
         };
         let [once, again] = [None, Some(usual)].map(&mut count);
         assert!(again.iter().sum::<usize>() < once.iter().sum(), "{once:?} {again:?}");
+    }
+
+    #[test]
+    fn search_tries_no_step_twice() {
+        // A fine layer, whose bytes change by more than the accepted shortfall from each step to the next.
+        for max_bytes in [99_000, 100_000, 101_000] {
+            let settings = SearchSettings { max_bytes, ..search_settings(Tune::Psnr, Channels::Rgb, false) };
+            let mut tried = Vec::new();
+            let found = smallest_step(&settings, 30.0, |step| {
+                tried.push(step);
+                let layer = DetailLayer { head: DetailHead { step, ..settings.coding.head }, tiles: Vec::new() };
+                Ok::<_, std::convert::Infallible>(Coded {
+                    layer,
+                    bytes: 5_000_000 / u64::from(step),
+                    sizes: Vec::new(),
+                })
+            });
+            let (Ok(found), tried) = (found.map(|coded| coded.unwrap().layer.head.step), tried);
+            assert_eq!(u64::from(found), 5_000_000u64.div_ceil(max_bytes), "{tried:?}");
+            assert!((1..tried.len()).all(|i| !tried[..i].contains(&tried[i])), "{tried:?}");
+        }
     }
 
     #[test]

@@ -60,7 +60,7 @@ const MIN_EDGES: f64 = 0.0018;
 /// In the worst case that was found, the latter has .2 SSIMULACRA2 points more.
 const MAX_SURE_TOLERANCE: u32 = 2;
 /// Effort of the first file of Gaussians and a detail layer that is compared with near colours.
-const QUICK_EFFORT: u8 = 1;
+const QUICK_EFFORT: u8 = 2;
 /// What a higher effort can gain at most, in decibels: of MS-SSIM or PSNR.
 const MAX_GAIN: f64 = 2.0;
 /// The same in SSIMULACRA2 points, for pages with photographs.

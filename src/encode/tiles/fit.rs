@@ -21,7 +21,7 @@ use crate::encode::workers::Executor;
 use crate::error::Result;
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Scene;
-use crate::fit::plan::fraction;
+use crate::fit::plan::reduction;
 use crate::instant::Instant;
 use crate::parallel;
 use crate::pixel_source::PixelSource;
@@ -88,7 +88,7 @@ pub(in crate::encode) fn fit<'a>(
     let fixed = picture.state.fixed()?;
     let blank = picture.state.blank.clone();
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background: [0.0; 4] };
-    let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
+    let by = if has_layer { reduction(&picture.state.settings.fit.base.reduction, scene.pixels(), count) } else { 1 };
     let small = Shrunk::new(fitted_source, by, options.hidden);
     let grid = grid_of(&scene, count, picture.side);
     let [width, height] = small.size();
