@@ -41,8 +41,8 @@ const MIN_TRIED_SHARE: f64 = 0.2;
 const MIN_IMPROVEMENT: f64 = 0.98;
 
 /// Maximum of 1 − MS-SSIM of Gaussians alone, relative to that of a file with a layer, at which Gaussians alone have the
-/// higher SSIMULACRA2. MS-SSIM prefers Gaussians alone: with a factor of 1, the choices for 66 pictures of 192 pixels lose
-/// 0.5 points more (docs/studies/division.md).
+/// higher SSIMULACRA2. MS-SSIM prefers Gaussians alone: with a factor of 1, the choices for twelve photographs of 192 pixels
+/// at four sizes lose 0.5 points more (docs/studies/division.md).
 const MAX_LOSS_OF_GAUSSIANS: f64 = 0.9;
 
 /// Codes a layer over `base`, tries other divisions where they may be better, and writes the file. `is_new` is whether
