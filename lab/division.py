@@ -11,6 +11,9 @@ prints the mean and the largest loss, and how often each share is the best. --si
 small files. --thumbnail reduces each picture to that many pixels along its longer side, and --crop cuts a square out of its
 middle. With --half, only the pictures of that half in lab/sets.json are used.
 
+--shares-of names an earlier program whose encodes with --shares are used, if only the choice of `auto` has changed since.
+The summaries also contain the CPU seconds of `auto`.
+
 Encodes are cached by the hash of the program, so that an interrupted command can be continued.
 """
 import argparse, collections, json, os, pathlib, shlex, tempfile
@@ -31,6 +34,7 @@ def arguments():
     parser.add_argument("--ratios", default="20,50,100,200")
     parser.add_argument("--sizes", help="sizes of files in bytes, instead of ratios")
     parser.add_argument("--shares", default="off,0.05,0.1,0.2,0.3,0.5,0.7")
+    parser.add_argument("--shares-of", help="another program, which encodes with the shares")
     parser.add_argument("--half", choices=["choose", "judge"])
     parser.add_argument("--thumbnail", type=int, default=0)
     parser.add_argument("--crop", type=int, default=0)
@@ -44,7 +48,8 @@ def arguments():
 class Lab:
     def __init__(self, args):
         self.args, self.cache = args, Cache(args.cache)
-        (self.program, self.own, self.variables, self.build), = programs([f"program={args.program}"]).values()
+        both = programs([f"auto={args.program}", f"shares={args.shares_of or args.program}"])
+        self.auto, self.shares = both["auto"], both["shares"]
         (args.cache / "pixels").mkdir(exist_ok=True)
 
     def sets(self):
@@ -75,15 +80,16 @@ class Lab:
 
     def made(self, picture, size, share):
         """Encodes a picture with a value of --detail and returns the measures of the file."""
-        options = [*size, *self.own, *shlex.split(self.args.options), "--detail", share]
+        program, own, variables, build = self.auto if share == "auto" else self.shares
+        options = [*size, *own, *shlex.split(self.args.options), "--detail", share]
 
         def work():
             with tempfile.TemporaryDirectory() as folder:
                 file = pathlib.Path(folder, "a.ssplat")
-                command = [self.program, "--threads", "1", "encode", picture, file, "--quiet", "--force", *options]
-                seconds = run(command, self.variables)[1]
-                return {"bytes": file.stat().st_size, "seconds": seconds} | measured(self.program, picture, file)
-        return self.cache.kept(f"{self.build} {self.variables or ''} {picture.name} {options}", work)
+                command = [program, "--threads", "1", "encode", picture, file, "--quiet", "--force", *options]
+                seconds = run(command, variables)[1]
+                return {"bytes": file.stat().st_size, "seconds": seconds} | measured(program, picture, file)
+        return self.cache.kept(f"{build} {variables or ''} {picture.name} {options}", work)
 
 
 def main():
@@ -98,19 +104,21 @@ def main():
     sizes = [("--bytes", size) for size in args.sizes.split(",")] if args.sizes else [("--ratio", ratio) for ratio in args.ratios.split(",")]
     for name, pictures in lab.sets().items():
         for size in sizes:
-            losses, best = [], collections.Counter()
+            losses, seconds, best = [], [], collections.Counter()
             for path in pictures:
                 picture = lab.pixels(path)
                 with Image.open(picture) as image:
                     measure = args.measure if min(image.size) >= LEAST_SIDE else "psnr"
-                found = {share: lab.made(picture, size, share)[measure] for share in ["auto", *args.shares.split(",")]}
+                made = {share: lab.made(picture, size, share) for share in ["auto", *args.shares.split(",")]}
+                found = {share: of[measure] for share, of in made.items()}
+                seconds.append(made["auto"]["seconds"])
                 most = max((share for share in found if share != "auto"), key=found.get)
                 losses.append((found[most] - found["auto"], path.stem))
                 best[most] += 1
                 text = " ".join(f"{share} {value:.1f}" for share, value in found.items())
                 write(f"{name} {size[1]} {path.stem[-24:]:24} {text} | {most} is {losses[-1][0]:+.1f}")
             counts = ", ".join(f"{share} {count}" for share, count in best.most_common())
-            write(f"{name} {size[1]}: {len(losses)} pictures, mean loss {mean([loss for loss, _ in losses]):.2f}, largest {max(losses)[0]:.2f} ({max(losses)[1]}); best: {counts}")
+            write(f"{name} {size[1]}: {len(losses)} pictures, mean loss {mean([loss for loss, _ in losses]):.2f}, largest {max(losses)[0]:.2f} ({max(losses)[1]}), {mean(seconds):.2f} s; best: {counts}")
 
 
 if __name__ == "__main__":

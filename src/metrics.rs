@@ -33,6 +33,9 @@ use crate::weighting::opacity;
 /// Grey backgrounds for pictures with alpha, as sRGB values. SSIMULACRA2 uses the same.
 pub const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
+/// Minimum side of a picture that has an MS-SSIM, pixels: the window fits into a sixteenth of it.
+#[cfg(feature = "encode")]
+pub(crate) const MIN_MS_SSIM_SIDE: u32 = 161;
 /// Taps of the window.
 const TAPS: usize = 11;
 /// Standard deviation of the window, pixels.

@@ -4,7 +4,8 @@
 //! |---|---|
 //! | no size is requested, or a file without primitives is larger than the requested size | Gaussians alone |
 //! | 16-bit samples within a narrow range | one colour, and a detail layer with all other bytes |
-//! | another layout or method, `Detail::Off`, or not [worth a layer](has_layer) | Gaussians alone |
+//! | another layout or method, `Detail::Off`, or not [worth a layer](LayerGain) | Gaussians alone |
+//! | a small file that [may gain from a layer](LayerGain::Uncertain) | the better of both |
 //! | `Detail::GaussianShare` | that share for the Gaussians, the rest for the layer |
 //! | otherwise | [`base_bytes`] for the Gaussians, the rest for the layer |
 //!
@@ -16,6 +17,7 @@
 //! `python lab/fit_division.py PICTURES PROGRAM` encodes sets of pictures with several divisions, fits the constants of
 //! the rule for photographs to the results, and writes a table of what each picture would have had.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use super::prepared::Prepared;
@@ -27,6 +29,7 @@ use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
+use crate::metrics::MIN_MS_SSIM_SIDE;
 use crate::options::{Detail, EncodeOptions, Tune};
 use crate::rdo::size::Size;
 use crate::strict_math::StrictMath;
@@ -90,6 +93,19 @@ const BUSY: [f64; 2] = [texture::BUSY, 4.1];
 const BUSY_SIZE: f64 = 1.9;
 /// Minimum size of a file with a layer, bytes.
 const MIN_FILE_BYTES: u64 = 2_500;
+/// Numbers of pixels of small pictures. If their texture is known, their files may be smaller. The values for them are from
+/// crops and thumbnails of 192 to 320 pixels at 600 to 4000 bytes (docs/studies/division.md). Still smaller ones, which
+/// have no MS-SSIM, keep the usual minimum: at 1200 bytes, photographs of CID22 reduced to 96 pixels lose 1.5 points with
+/// a layer.
+const SMALL_PIXELS: RangeInclusive<u64> = 161 * 161..=1 << 17;
+/// Minimum size of a file with a layer for small pictures.
+const MIN_SMALL_FILE_BYTES: u64 = 700;
+/// Minimum size of a file for which a layer is tried, and up to which multiple of the largest ratio, for small pictures. A
+/// file without a layer takes five times as long as one with a layer, so a try takes a fifth more time.
+const MIN_TRIED_FILE_BYTES: u64 = 400;
+const TRIED_RATIO: f64 = 2.0;
+/// Maximum ratio of small pictures with a layer. Those that were measured have up to 205.
+const MAX_SMALL_RATIO: f64 = 250.0;
 /// The same for regular textures, and the share of the bytes for their Gaussians. At 600 and 1200 bytes, a weave, stripes
 /// and a checkerboard of 128 × 128 pixels gain 29 to 174 SSIMULACRA2 points over Gaussians alone.
 /// `python lab/division.py target/release/ssplat PICTURES... --sizes 600,1200` measures it.
@@ -136,6 +152,17 @@ pub(super) struct Division {
     pub fit_ratio: Option<f64>,
     /// The deadline.
     pub until: Option<Instant>,
+    /// Whether Gaussians alone may be better than this division.
+    pub is_uncertain: bool,
+}
+
+/// Whether a picture gains from a detail layer in a file of a size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum LayerGain {
+    None,
+    /// Only encodes with and without a layer tell.
+    Uncertain,
+    Certain,
 }
 
 impl Division {
@@ -198,11 +225,14 @@ pub(super) fn allocate(prepared: &Prepared<'_>, size: Size, time: Option<Duratio
         return Ok(Allocation::OneColor(max_bytes));
     }
     let (pixels, samples, all) = (state.pixels(), state.samples(), shared as f64);
-    if !has_layer(options, pixels, samples, shared, || prepared.measured_texture()) {
+    let gain = layer_gain(options, pixels, samples, shared, || prepared.measured_texture());
+    let may_try = state.settings.allocation.tries_divisions && !is_search(options.target);
+    let limit = state.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
+    let may_try = may_try && limit.is_none() && state.blank.width.min(state.blank.height) >= MIN_MS_SSIM_SIDE;
+    if gain == LayerGain::None || gain == LayerGain::Uncertain && !may_try {
         return Ok(alone);
     }
     let texture = texture(options, || prepared.measured_texture());
-    let limit = state.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
     Ok(Allocation::Shared(Division {
         fixed,
         shared,
@@ -212,6 +242,7 @@ pub(super) fn allocate(prepared: &Prepared<'_>, size: Size, time: Option<Duratio
         // A search runs several fits, so it does not extend them for large files.
         fit_ratio: (!is_search(options.target)).then(|| samples / all),
         until: limit.and_then(|limit| Instant::now().checked_add(limit)),
+        is_uncertain: gain == LayerGain::Uncertain,
     }))
 }
 
@@ -291,9 +322,17 @@ fn largest_ratio(settings: &AllocationSettings, pixels: u64, texture: Option<Tex
 }
 
 /// Returns whether a picture of `samples` samples gains from a layer in a file of `bytes` bytes. `largest` is the
-/// largest ratio at which the picture gains from one.
-fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
-    bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
+/// largest ratio at which the picture gains from one. `is_small` is whether it is small and its texture is known.
+fn gain_at(samples: f64, bytes: u64, largest: f64, is_small: bool) -> LayerGain {
+    let ratio = samples / bytes as f64;
+    let is_certain = ratio <= largest && bytes >= if is_small { MIN_SMALL_FILE_BYTES } else { MIN_FILE_BYTES };
+    let may_try = ratio <= TRIED_RATIO * largest && bytes >= MIN_TRIED_FILE_BYTES;
+    match is_small {
+        true if ratio > MAX_SMALL_RATIO => LayerGain::None,
+        _ if is_certain => LayerGain::Certain,
+        true if may_try => LayerGain::Uncertain,
+        _ => LayerGain::None,
+    }
 }
 
 /// Returns the byte budget of the Gaussians in a file of `all` bytes.
@@ -365,8 +404,8 @@ pub(super) fn texture(options: &EncodeOptions, measured: impl FnOnce() -> Option
     measured().filter(|texture| options.favoured() == Tune::Iq || texture.is_regular())
 }
 
-/// Returns whether a file of `shared` bytes, without header and metadata, has a layer. `texture` measures the texture
-/// of a picture that is fitted as a whole.
+/// Returns whether a picture of `pixels` pixels and `samples` samples certainly gains from a layer in a file of `shared`
+/// bytes, without header and metadata. `texture` measures the texture of a picture that is fitted as a whole.
 pub(super) fn has_layer(
     options: &EncodeOptions,
     pixels: u64,
@@ -374,21 +413,31 @@ pub(super) fn has_layer(
     shared: u64,
     texture: impl FnOnce() -> Option<Texture>,
 ) -> bool {
+    layer_gain(options, pixels, samples, shared, texture) == LayerGain::Certain
+}
+
+/// Returns whether a picture gains from a layer. The arguments are those of [`has_layer`].
+fn layer_gain(
+    options: &EncodeOptions,
+    pixels: u64,
+    samples: f64,
+    shared: u64,
+    texture: impl FnOnce() -> Option<Texture>,
+) -> LayerGain {
+    let certain = |has: bool| if has { LayerGain::Certain } else { LayerGain::None };
     match options.detail {
-        _ if !may_have_layer(options) => false,
-        Detail::GaussianShare(_) => true,
+        _ if !may_have_layer(options) => LayerGain::None,
+        Detail::GaussianShare(_) => LayerGain::Certain,
         Detail::Auto => {
             let texture = self::texture(options, texture);
             if texture.is_some_and(Texture::is_regular) {
-                return shared >= MIN_REGULAR_FILE_BYTES;
+                return certain(shared >= MIN_REGULAR_FILE_BYTES);
             }
-            is_worth_a_layer(
-                samples,
-                shared,
-                largest_ratio(&EffortSettings::from_preset(options.effort).allocation, pixels, texture),
-            )
+            let settings = EffortSettings::from_preset(options.effort).allocation;
+            let is_small = texture.is_some() && SMALL_PIXELS.contains(&pixels);
+            gain_at(samples, shared, largest_ratio(&settings, pixels, texture), is_small)
         }
-        Detail::Off => false,
+        Detail::Off => LayerGain::None,
     }
 }
 
@@ -410,7 +459,8 @@ mod tests {
     fn fine_pictures_have_a_layer_at_larger_ratios_than_coarse_pictures() {
         let has = |texture, ratio: u64| {
             let (samples, bytes) = (3 * PIXELS_OF_512, 3 * PIXELS_OF_512 / ratio);
-            is_worth_a_layer(samples as f64, bytes, largest_ratio(&of(5), PIXELS_OF_512, texture))
+            let largest = largest_ratio(&of(5), PIXELS_OF_512, texture);
+            gain_at(samples as f64, bytes, largest, false) == LayerGain::Certain
         };
         let [coarse, fine] = [0.46, 1.2].map(|fineness| texture(fineness, 4.0));
         assert_eq!([50, 100, 200].map(|ratio| has(coarse, ratio)), [true, true, false]);
@@ -436,6 +486,29 @@ mod tests {
         }
         let has = |bytes| has_layer(&EncodeOptions::default(), 128 * 128, 49_152.0, bytes, || texture(1.2, 5.0));
         assert_eq!([600, 2400].map(has), [false; 2]);
+    }
+
+    #[test]
+    fn small_files_have_a_layer_if_the_texture_is_fine_and_a_try_of_one_in_doubt() {
+        use LayerGain::{Certain, None, Uncertain};
+        let gain = |side: u64, texture, bytes| {
+            layer_gain(&EncodeOptions::default(), side * side, (3 * side * side) as f64, bytes, || texture)
+        };
+        let gains = |fineness| [300, 600, 900, 1200, 2499].map(|bytes| gain(192, texture(fineness, 5.0), bytes));
+        assert_eq!(gains(0.5), [None, None, None, None, Uncertain]);
+        assert_eq!(gains(0.7), [None, None, Uncertain, Uncertain, Certain]);
+        assert_eq!(gains(1.2), [None, Uncertain, Certain, Certain, Certain]);
+        // A larger file is never less likely to have a layer, whatever the picture.
+        for (side, fineness) in [96, 192, 256, 320].into_iter().flat_map(|side| [0.4, 0.6, 0.9, 2.0].map(|f| (side, f)))
+        {
+            let order = |gain| [None, Uncertain, Certain].iter().position(|&other| other == gain);
+            let found: Vec<_> = (1..50).map(|k| order(gain(side, texture(fineness, 5.0), 100 * k))).collect();
+            assert!(found.is_sorted(), "{side} pixels of fineness {fineness}: {found:?}");
+        }
+        // Other pictures have a larger minimum, and none is tried.
+        let of = |is_small| [399, 699, 700, 2499, 2500].map(|bytes| gain_at(50_000.0, bytes, 100.0, is_small));
+        assert_eq!(of(true), [None, Uncertain, Certain, Certain, Certain]);
+        assert_eq!(of(false), [None, None, None, None, Certain]);
     }
 
     #[test]

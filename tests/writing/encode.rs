@@ -295,6 +295,39 @@ fn the_default_effort_finds_the_best_division_for_a_page_with_a_picture() {
     assert!(found < 1.2 * best, "{found} instead of {others:?}");
 }
 
+/// Returns 176 × 176 pixels of a photograph.
+fn photograph_at([x, y]: [u32; 2]) -> Pixels {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/kodim05.png");
+    let picture = image::open(path).unwrap().crop_imm(x, y, 176, 176).into_rgb8();
+    Pixels::new(176, 176, Channels::Rgb, Samples::U8(picture.into_raw())).unwrap()
+}
+
+#[test]
+fn small_files_have_a_layer_unless_gaussians_alone_are_much_more_similar() {
+    for (at, bytes, has_layer) in [([400, 300], 600, false), ([20, 20], 900, true), ([400, 300], 1500, true)] {
+        let pixels = photograph_at(at);
+        let [auto, off] = [Detail::Auto, Detail::Off].map(|detail| {
+            let mut options = quick(Target::Bytes(bytes));
+            (options.detail, options.effort, options.tune) = (detail, 4, Some(Tune::Iq));
+            encode(&pixels, &options).unwrap().bytes
+        });
+        let dissimilarity = |bytes: &[u8]| {
+            let drawn = decode(bytes, &DecodeOptions::default()).unwrap();
+            1.0 - metrics::compare(&pixels, &drawn.pixels).unwrap().ms_ssim.unwrap()
+        };
+        let read = bitstream::read(&auto[..], &Limits::default()).unwrap();
+        assert_eq!(read.detail.is_some(), has_layer, "{at:?} in {bytes} bytes");
+        let relative = dissimilarity(&off) / dissimilarity(&auto);
+        // `MAX_LOSS_OF_GAUSSIANS` is 0.9.
+        assert!(if has_layer { relative >= 0.9 } else { auto == off }, "{at:?} in {bytes} bytes: {relative}");
+        // An encode with a time budget makes one file only.
+        let mut timed = quick(Target::Bytes(bytes));
+        (timed.effort, timed.tune, timed.time) = (4, Some(Tune::Iq), Some(Duration::from_secs(600)));
+        let read = bitstream::read(&encode(&pixels, &timed).unwrap().bytes[..], &Limits::default()).unwrap();
+        assert_eq!(read.detail.is_some(), bytes == 1500, "{at:?} in {bytes} bytes, timed");
+    }
+}
+
 #[test]
 fn a_search_tries_several_divisions_of_a_page_once() {
     let mut options = quick(Target::Psnr(28.0));

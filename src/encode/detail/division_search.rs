@@ -1,6 +1,7 @@
 //! Divides the bytes of a file between Gaussians and layer where only trying tells how: sharp pictures, which need more
 //! Gaussians and which the encoder can only recognize after it has fitted the smaller base, and pages of text with
-//! photographs, for which it encodes several divisions and compares them.
+//! photographs, for which it encodes several divisions and compares them. Small files may be better without a layer, so
+//! it encodes them with and without one.
 
 use std::sync::Arc;
 
@@ -39,6 +40,11 @@ const MIN_TRIED_SHARE: f64 = 0.2;
 /// Maximum of 1 − MS-SSIM after a change of the division, relative to the value before, that justifies the change.
 const MIN_IMPROVEMENT: f64 = 0.98;
 
+/// Maximum of 1 − MS-SSIM of Gaussians alone, relative to that of a file with a layer, at which Gaussians alone have the
+/// higher SSIMULACRA2. MS-SSIM prefers Gaussians alone: with a factor of 1, the choices for twelve photographs of 192 pixels
+/// at four sizes lose 0.5 points more (docs/studies/division.md).
+const MAX_LOSS_OF_GAUSSIANS: f64 = 0.9;
+
 /// Codes a layer over `base`, tries other divisions where they may be better, and writes the file. `is_new` is whether
 /// `base` was fitted for this file.
 pub(in crate::encode) fn layered(
@@ -71,7 +77,15 @@ pub(in crate::encode) fn layered(
     let clock = picture.state.report.seconds();
     let outcome = joined(picture, layered, most, division.rounds, division.until)?;
     picture.state.report.stage("detail", clock);
-    Ok(outcome)
+    if division.is_uncertain { or_gaussians_alone(picture, outcome, division) } else { Ok(outcome) }
+}
+
+/// Returns `layered`, or Gaussians alone in a file of the same size if they look better.
+fn or_gaussians_alone(picture: &mut WholePicture<'_>, layered: Outcome, division: &Division) -> Result<Outcome> {
+    let alone = gaussians::of_whole(picture, &division.request_without_layer())?;
+    let losses = [ms_ssim_loss(picture, &alone.splats)?, ms_ssim_loss(picture, &layered.splats)?];
+    let [Some(loss), Some(loss_of_layered)] = losses else { return Ok(layered) };
+    Ok(if loss < MAX_LOSS_OF_GAUSSIANS * loss_of_layered { alone } else { layered })
 }
 
 /// Fits larger bases to a sharp picture, as long as they gain enough, and returns the best result.
@@ -124,7 +138,7 @@ pub(super) fn best_division(
     division: &Division,
 ) -> Result<(Layered, f64)> {
     let most = MAX_TRIED_SHARE * division.shared as f64;
-    let Some(mut dissimilarity) = ms_ssim_loss(picture, &first)? else { return Ok((first, few)) };
+    let Some(mut dissimilarity) = ms_ssim_loss_of_layered(picture, &first)? else { return Ok((first, few)) };
     let mut best = (first, few);
     let (up, down) = (TRIED_CHANGE, 1.0 / TRIED_CHANGE);
     for change in if few * up < most { [up, down] } else { [down, up] } {
@@ -137,7 +151,7 @@ pub(super) fn best_division(
             bytes = next;
             let base = base(picture, bytes as u64, division, Vec::new())?;
             let other = layer(picture, base, division.max_bytes())?;
-            match ms_ssim_loss(picture, &other)? {
+            match ms_ssim_loss_of_layered(picture, &other)? {
                 Some(found) if found < MIN_IMPROVEMENT * dissimilarity => {
                     (best, dissimilarity, is_better) = ((other, bytes), found, true);
                 }
@@ -152,11 +166,16 @@ pub(super) fn best_division(
 }
 
 /// Returns 1 minus the MS-SSIM of a picture. Returns `None` if it has no layer or is too small for MS-SSIM.
-fn ms_ssim_loss(picture: &WholePicture<'_>, layered: &Layered) -> Result<Option<f64>> {
+fn ms_ssim_loss_of_layered(picture: &WholePicture<'_>, layered: &Layered) -> Result<Option<f64>> {
     let Some(coded) = &layered.coded else { return Ok(None) };
     let mut splats = layered.base.splats.clone();
     splats.detail = Some(Arc::new(coded.layer.clone()));
-    let drawn = drawn(&splats, &View::of_size(splats.width, splats.height), splats.depth)?;
+    ms_ssim_loss(picture, &splats)
+}
+
+/// Returns 1 minus the MS-SSIM of a picture. Returns `None` if it is too small for MS-SSIM.
+fn ms_ssim_loss(picture: &WholePicture<'_>, splats: &PackedSplats) -> Result<Option<f64>> {
+    let drawn = drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)?;
     Ok(metrics::compare(picture.input.pixels, &drawn)?.ms_ssim.map(|similarity| 1.0 - similarity))
 }
 

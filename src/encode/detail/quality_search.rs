@@ -276,7 +276,8 @@ fn at_prediction(
     let rounds = allocation::rounds(&picture.state, shared);
     let fit_ratio = Some(samples / predicted.bytes);
     let budget = allocation::base_budget(&picture.state, texture, predicted.bytes);
-    let mut division = Division { fixed, shared, base_budget: budget, texture, rounds, fit_ratio, until };
+    let mut division =
+        Division { fixed, shared, base_budget: budget, texture, rounds, fit_ratio, until, is_uncertain: false };
     let base = base(picture, budget as u64, &division, Vec::new())?;
 
     let clock = picture.state.report.seconds();
