@@ -160,7 +160,12 @@ impl Plan {
             true => Plan::steps(iterations, self.seed).relocate_every,
             false => (iterations / MAX_BASE_RELOCATIONS).clamp(MIN_BASE_RELOCATION_INTERVAL, MAX_RELOCATION_INTERVAL),
         };
-        let sweeps = self.sweeps.min(settings.sweeps[usize::from(is_exact)]);
+        let [few, many, exact] = settings.sweeps;
+        let sweeps = self.sweeps.min(match self.pace {
+            _ if is_exact => exact,
+            Pace::Steady => few,
+            Pace::Brisk => many,
+        });
         let (last_rate, relocated_share, decay) = if is_exact {
             (LAST_RATE, RELOCATED_SHARE, None)
         } else {
