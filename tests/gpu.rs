@@ -47,7 +47,7 @@ fn encoder(device: &Device) {
     let pixels: Vec<u8> = (0..48 * 40 * 3).map(|i| (i * 7 % 251) as u8).collect();
     let pixels = Pixels::new(48, 40, Channels::Rgb, Samples::U8(pixels)).unwrap();
     let mut options = EncodeOptions::default();
-    (options.target, options.effort, options.backend) = (Target::Primitives(40), 1, Backend::Gpu);
+    (options.target, options.effort, options.backend) = (Target::Primitives(40), 2, Backend::Gpu);
     let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     let chosen = &encoded.report.chosen;
     assert_eq!((chosen.backend, &*chosen.device), (Backend::Gpu, device.name()), "{chosen}");
@@ -68,7 +68,7 @@ fn tiles(device: &Device) {
     let pixels = waves::picture(200, 100, Channels::Rgb);
     for (target, detail) in [(Target::Bytes(330), Detail::Off), (Target::Bytes(720), Detail::GaussianShare(0.5))] {
         let mut options = EncodeOptions::default();
-        (options.target, options.effort, options.tiles, options.detail) = (target, 1, Some(128), detail);
+        (options.target, options.effort, options.tiles, options.detail) = (target, 2, Some(128), detail);
         let [gpu, again, cpu] = [Backend::Gpu, Backend::Gpu, Backend::Cpu].map(|backend| {
             options.backend = backend;
             ssplat::unstable::encode(&pixels, &options).unwrap()
