@@ -1,0 +1,257 @@
+#!/usr/bin/env python3
+"""Makes sheets of crops for a blind comparison with AVIF (tune=iq), and counts the verdicts.
+
+    python lab/sheets.py PICTURES target/release/ssplat SHEETS
+    python lab/sheets.py PICTURES target/release/ssplat SHEETS --only kodim,clic --ratios 50 --zoom 3
+    python lab/sheets.py --reveal VERDICTS.csv SHEETS/key.json [--page docs/studies/eye.md]
+
+PICTURES contains one folder for each set. lab/crops.json lists the crops, which were chosen from the originals alone, and for
+each group of them the ratios and the speed of AVIF. Each picture is encoded whole, with the default of the program and with
+AVIF in at most the bytes of the ratio, 4:2:0 or 4:4:4, whichever has the higher SSIMULACRA2. SHEETS gets a PNG for each crop
+and ratio: the original, the left and the right codec, enlarged by --zoom if the crop is narrower than 384 pixels. A number of
+--seed and the name of the sheet decide which codec is left. SHEETS/key.json says which it is, with bytes and measures. Crops
+of a file that is equal to the picture get no sheet; neither do those of which AVIF has no file that is small enough.
+
+VERDICTS has the columns sheet, better (left, right or equal), left_faults and right_faults (words of FAULTS, separated by
+semicolons) and why (a sentence in which the words left and right mean the codecs). --reveal prints the verdicts with the names
+of the codecs, and counts them by subject, ratio and fault. --page writes these tables into a document.
+
+The command prints no measures. Files and measures of AVIF are cached in --cache. It needs Pillow 12 or newer.
+"""
+import argparse, collections, csv, dataclasses, json, math, pathlib, random, re, sys, tempfile
+
+from PIL import Image
+
+from other_codecs import Cache, Files, avif, measured, programs, run
+from report import number, table, write_tables
+
+root = pathlib.Path(__file__).resolve().parent.parent
+FAULTS = ("blur", "missing texture", "ringing", "stains", "blocking", "banding", "jagged edges", "colour loss", "noise", "false texture")
+CODECS = ("ssplat", "AVIF")
+# Speed of AVIF at which the quality is searched.
+SEARCH = 8
+GAP = 8
+
+
+def crops(args):
+    """Yields the group, the settings of the group and the crop, of those that were asked for."""
+    words = [word for word in args.only.split(",") if word]
+    for group, settings in json.loads((root / "lab/crops.json").read_text()).items():
+        if group in (args.group, None) or not args.group:
+            for crop in settings["crops"]:
+                if not words or any(word in crop["picture"] for word in words):
+                    yield group, settings, crop
+
+
+def name_of(crop, ratio):
+    x, y, *_ = crop["crop"]
+    return f"{pathlib.Path(crop['picture']).stem[:24]}-{x}-{y}-{ratio}"
+
+
+def left_of(seed, name):
+    """Returns which codec is on the left of a sheet."""
+    return random.Random(f"{seed} {name}").choice(CODECS)
+
+
+class Lab:
+    def __init__(self, args):
+        self.args, self.cache = args, Cache(args.cache)
+        (self.program, _, _, self.build), = programs([f"ssplat={args.program}"]).values()
+        self.files = Files(self.cache, self.program)
+        for folder in ("pixels", "decoded"):
+            (args.cache / folder).mkdir(exist_ok=True)
+
+    def picture(self, name):
+        """Returns a copy of a picture in RGB without metadata."""
+        copy = self.args.cache / "pixels" / name.replace("/", "-")
+        if not copy.exists():
+            image = Image.open(self.args.pictures / name).convert("RGB")
+            image.info.clear()
+            image.save(copy)
+        return copy
+
+    def ours(self, picture, ratio):
+        """Returns the bytes, the measures and the decoded picture of the file of the program."""
+        decoded = self.args.cache / "decoded" / f"{self.build}-{picture.stem}-{ratio}.png"
+
+        def work():
+            with tempfile.TemporaryDirectory() as folder:
+                file = pathlib.Path(folder, "a.ssplat")
+                run([self.program, "--threads", "1", "encode", picture, file, "--ratio", ratio, "--quiet", "--force"])
+                run([self.program, "--threads", "1", "decode", file, decoded, "--quiet"])
+                return {"bytes": file.stat().st_size} | measured(self.program, picture, file)
+        return self.cache.kept(f"sheet {self.build} {picture.name} {ratio}", work), decoded
+
+    def avif(self, picture, ratio, speed):
+        """Returns the same of AVIF, or None if no file fits. The subsampling is the one with the higher SSIMULACRA2 at speed
+        SEARCH, and the quality is searched from the sizes there."""
+        room = math.prod(Image.open(picture).size) * 3 // ratio
+        slow = dict(zip((codec.settings for codec in avif(SEARCH)), avif(speed)))
+        found = []
+        for codec in avif(SEARCH):
+            # All qualities, because the file shall be as large as possible.
+            codec = dataclasses.replace(codec, qualities=tuple(range(100)))
+            found.append((self.files.point(picture, codec, self.files.around(picture, codec, [room + 1])[0])["ssimulacra2"], codec))
+        _, quick = max(found, key=lambda made: made[0])
+        codec, scale, tried = slow[quick.settings], 1.0, {}
+        while True:
+            quality = self.files.around(picture, quick, [(room + 1) / scale])[0]
+            if quality in tried:
+                break
+            file = self.file(picture, codec, quality)
+            tried[quality] = file.stat().st_size
+            scale = tried[quality] / self.files.size(picture, quick, quality)
+        fitting = [quality for quality in tried if tried[quality] <= room]
+        if not fitting:
+            return None, None
+        file = self.file(picture, codec, max(fitting))
+        decoded = Image.open(file).convert("RGB")
+
+        def work():
+            with tempfile.TemporaryDirectory() as folder:
+                back = pathlib.Path(folder, "a.ppm")
+                decoded.save(back)
+                return {"bytes": file.stat().st_size, "settings": f"{codec.settings} quality {max(fitting)}"} | measured(self.program, picture, back)
+        return self.cache.kept(f"sheet {file.name}", work), decoded
+
+    def file(self, picture, codec, quality):
+        """Returns an AVIF file, from the cache if it is there."""
+        path = self.args.cache / "decoded" / f"{picture.stem}-{codec.settings.replace(':', '').replace(' ', '-')}-{quality}.avif"
+        if not path.exists():
+            part = path.with_suffix(".part")
+            codec.encode(self.files.image(picture), quality, part)
+            part.rename(path)
+        return path
+
+    def sheet(self, crop, pictures):
+        x, y, width, height = crop["crop"]
+        zoom = self.args.zoom if width < 384 else 1
+        parts = [picture.crop((x, y, x + width, y + height)).resize((zoom * width, zoom * height), Image.Resampling.LANCZOS) for picture in pictures]
+        sheet = Image.new("RGB", (len(parts) * (zoom * width + GAP) - GAP, zoom * height), "white")
+        for at, part in enumerate(parts):
+            sheet.paste(part, (at * (zoom * width + GAP), 0))
+        return sheet
+
+
+def make(args):
+    lab = Lab(args)
+    args.sheets.mkdir(parents=True, exist_ok=True)
+    path = args.sheets / "key.json"
+    key = json.loads(path.read_text()) if path.exists() else {}
+    for group, settings, crop in crops(args):
+        picture = lab.picture(crop["picture"])
+        original = Image.open(picture)
+        for ratio in [int(ratio) for ratio in args.ratios.split(",")] if args.ratios else settings["ratios"]:
+            name = name_of(crop, ratio)
+            own, decoded = lab.ours(picture, ratio)
+            made = {"ssplat": Image.open(decoded).convert("RGB")}
+            entry = crop | {"group": group, "ratio": ratio, "ssplat": own}
+            if made["ssplat"].tobytes() == original.tobytes():
+                key[name] = entry | {"left_out": "exact"}
+            else:
+                entry["AVIF"], made["AVIF"] = lab.avif(picture, ratio, settings["avif_speed"])
+                if entry["AVIF"]:
+                    left = left_of(args.seed, name)
+                    order = CODECS if left == CODECS[0] else CODECS[::-1]
+                    lab.sheet(crop, [original, *(made[codec] for codec in order)]).save(args.sheets / f"{name}.png")
+                    key[name] = entry | {"left": left}
+                else:
+                    key[name] = entry | {"left_out": "no AVIF"}
+            path.write_text(json.dumps(key, indent=1) + "\n")
+            print(name, key[name].get("left_out", ""), flush=True)
+
+
+def named(sentence, left):
+    """Puts the names of the codecs in the place of the words left and right."""
+    sides = {"left": left, "right": CODECS[left == CODECS[0]]}
+    return re.sub(r"\b(left|right)\b", lambda word: sides[word[0].lower()], sentence, flags=re.IGNORECASE)
+
+
+def verdicts(path, key):
+    """Returns the verdicts with the names of the codecs."""
+    found = []
+    with open(path) as file:
+        for row in csv.DictReader(file):
+            entry = key[row["sheet"]]
+            sides = {"left": entry["left"], "right": CODECS[entry["left"] == CODECS[0]]}
+            faults = {codec: [fault.strip() for fault in row[f"{side}_faults"].split(";") if fault.strip()] for side, codec in sides.items()}
+            unknown = {fault for list_ in faults.values() for fault in list_} - set(FAULTS)
+            if unknown or row["better"] not in (*sides, "equal"):
+                sys.exit(f"{row['sheet']}: {unknown or row['better']!r} is not known")
+            found.append(entry | {"sheet": row["sheet"], "better": sides.get(row["better"], "equal"), "faults": faults, "why": named(row["why"], entry["left"])})
+    missing = [name for name, entry in key.items() if "left" in entry and name not in {verdict["sheet"] for verdict in found}]
+    if missing:
+        print(f"without a verdict: {', '.join(missing)}", file=sys.stderr)
+    return found
+
+
+def counted(groups, columns):
+    """Returns a table of how often each codec is better, by the groups of verdicts, in each of the columns."""
+    rows = []
+    for name, of in groups.items():
+        row = [name]
+        for column in columns:
+            there = [verdict["better"] for verdict in of if verdict["ratio"] == column]
+            row.append(" / ".join(str(there.count(better)) for better in (CODECS[0], "equal", CODECS[1])) if there else "–")
+        rows.append(row)
+    return rows
+
+
+def reveal(args):
+    key = json.loads(args.key.read_text())
+    found, tables = verdicts(args.reveal, key), {}
+    for group in dict.fromkeys(verdict["group"] for verdict in found):
+        of = [verdict for verdict in found if verdict["group"] == group]
+        ratios = sorted({verdict["ratio"] for verdict in of})
+        rows = []
+        for verdict in of:
+            place = f"{pathlib.Path(verdict['picture']).stem[:16]} {','.join(map(str, verdict['crop']))}"
+            points = " / ".join(number(verdict[codec]["ssimulacra2"], 1) for codec in CODECS)
+            rows.append([place, verdict["subject"], str(verdict["ratio"]), verdict["better"], *(", ".join(verdict["faults"][codec]) or "none" for codec in CODECS), points, verdict["why"]])
+        tables[f"verdicts {group}"] = table(["picture, crop", "subject", "ratio", "better", "faults of ssplat", "faults of AVIF", "SSIMULACRA2", "why"], rows)
+        subjects = collections.defaultdict(list)
+        for verdict in of:
+            subjects[verdict["subject"]].append(verdict)
+        counts = counted({"all": of, **dict(sorted(subjects.items()))}, ratios)
+        tables[f"counts {group}"] = table(["subject", *(f"at {ratio}" for ratio in ratios)], counts)
+        rows = []
+        for fault in FAULTS:
+            times = [[sum(fault in verdict["faults"][codec] for verdict in of if verdict["ratio"] == ratio) for codec in CODECS] for ratio in ratios]
+            if any(map(any, times)):
+                rows.append([fault, *(" / ".join(map(str, pair)) for pair in times)])
+        tables[f"faults {group}"] = table(["fault", *(f"at {ratio}" for ratio in ratios)], rows)
+        agree = [(verdict["ssplat"]["ssimulacra2"] > verdict["AVIF"]["ssimulacra2"]) == (verdict["better"] == "ssplat") for verdict in of if verdict["better"] != "equal"]
+        bytes_ = [verdict["AVIF"]["bytes"] / verdict["ssplat"]["bytes"] for verdict in of]
+        left_out = [f"{name} ({entry['left_out']})" for name, entry in key.items() if entry["group"] == group and "left_out" in entry]
+        print(f"{group}: {len(of)} sheets; SSIMULACRA2 of the whole pictures prefers the same codec in {sum(agree)} of {len(agree)}; AVIF has {sum(bytes_) / len(bytes_):.3f} of the bytes of ssplat in the mean; left out: {', '.join(left_out) or 'none'}")
+    if args.page:
+        write_tables(args.page, tables)
+    else:
+        for name, text in tables.items():
+            print(f"\n{name}\n\n{text}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reveal", type=pathlib.Path, metavar="VERDICTS", help="count the verdicts of this file; the only other path is that of the key")
+    parser.add_argument("paths", type=pathlib.Path, nargs="+", metavar="PATH", help="PICTURES PROGRAM SHEETS, or KEY")
+    parser.add_argument("--group", help="only the crops of this group")
+    parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
+    parser.add_argument("--ratios", help="by default those of lab/crops.json")
+    parser.add_argument("--zoom", type=int, default=2)
+    parser.add_argument("--seed", default="1")
+    parser.add_argument("--cache", type=pathlib.Path, default=root / "target/sheets")
+    parser.add_argument("--page", type=pathlib.Path, help="with --reveal: write the tables into this document")
+    args = parser.parse_args()
+    if len(args.paths) != (1 if args.reveal else 3):
+        parser.error("PICTURES, PROGRAM and SHEETS are needed, or with --reveal the key alone")
+    if args.reveal:
+        args.key, = args.paths
+        reveal(args)
+    else:
+        args.pictures, args.program, args.sheets = args.paths
+        make(args)
+
+
+if __name__ == "__main__":
+    main()
