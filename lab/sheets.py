@@ -208,7 +208,7 @@ def reveal(args):
             place = f"{pathlib.Path(verdict['picture']).stem[:16]} {','.join(map(str, verdict['crop']))}"
             points = " / ".join(number(verdict[codec]["ssimulacra2"], 1) for codec in CODECS)
             rows.append([place, verdict["subject"], str(verdict["ratio"]), verdict["better"], *(", ".join(verdict["faults"][codec]) or "none" for codec in CODECS), points, verdict["why"]])
-        tables[f"verdicts {group}"] = table(["picture, crop", "subject", "ratio", "better", "faults of ssplat", "faults of AVIF", "SSIMULACRA2", "why"], rows)
+        tables[f"verdicts {group}"] = table(["picture, crop", "subject", "ratio", "better", "faults of ssplat", "faults of AVIF", "SSIMULACRA2", "why"], rows, left=8)
         subjects = collections.defaultdict(list)
         for verdict in of:
             subjects[verdict["subject"]].append(verdict)
