@@ -4,6 +4,8 @@
     python lab/sheets.py PICTURES target/release/ssplat SHEETS
     python lab/sheets.py PICTURES target/release/ssplat SHEETS --only kodim,clic --ratios 50 --zoom 3
     python lab/sheets.py --reveal VERDICTS.csv SHEETS/key.json [--page docs/studies/eye.md]
+    python lab/sheets.py --layers PICTURES target/release/ssplat SHEETS
+    python lab/sheets.py --store OUT.webp SHEETS/key.json NAMES...
 
 PICTURES contains one folder for each set. lab/crops.json lists the crops, which were chosen from the originals alone, and for
 each group of them the ratios and the speed of AVIF. Each picture is encoded whole, with the default of the program and with
@@ -16,7 +18,15 @@ VERDICTS has the columns sheet, better (left, right or equal), left_faults and r
 semicolons) and why (a sentence in which the words left and right mean the codecs). --reveal prints the verdicts with the names
 of the codecs, and counts them by subject, ratio and fault. --page writes these tables into a document.
 
-The command prints no measures. Files and measures of AVIF are cached in --cache. It needs Pillow 12 or newer.
+The command prints no measures.
+
+--store puts some sheets below each other, as original, ssplat and AVIF, or as --layers wrote them.
+
+--layers shows where a fault comes from, after the verdicts: sheets of the original, the file and its Gaussians alone, and a
+table of the share of the bytes that are Gaussians, and the errors of colour of the file, of its Gaussians alone and of AVIF:
+the mean absolute error of the means of Cb and Cr over 8 × 8 pixels of the crop, in code values.
+
+Files and measures of AVIF are cached in --cache. It needs Pillow 12 or newer.
 """
 import argparse, collections, csv, dataclasses, json, math, pathlib, random, re, sys, tempfile
 
@@ -31,13 +41,15 @@ CODECS = ("ssplat", "AVIF")
 # Speed of AVIF at which the quality is searched.
 SEARCH = 8
 GAP = 8
+# Difference in SSIMULACRA2 by which the verdicts are divided.
+LEAD = 5
 
 
 def crops(args):
     """Yields the group, the settings of the group and the crop, of those that were asked for."""
     words = [word for word in args.only.split(",") if word]
     for group, settings in json.loads((root / "lab/crops.json").read_text()).items():
-        if group in (args.group, None) or not args.group:
+        if not args.group or group == args.group:
             for crop in settings["crops"]:
                 if not words or any(word in crop["picture"] for word in words):
                     yield group, settings, crop
@@ -81,6 +93,19 @@ class Lab:
                 run([self.program, "--threads", "1", "decode", file, decoded, "--quiet"])
                 return {"bytes": file.stat().st_size} | measured(self.program, picture, file)
         return self.cache.kept(f"sheet {self.build} {picture.name} {ratio}", work), decoded
+
+    def gaussians(self, picture, ratio):
+        """Returns the share of the bytes of the file of the program that are Gaussians, and these alone."""
+        decoded = self.args.cache / "decoded" / f"{self.build}-{picture.stem}-{ratio}-gaussians.png"
+
+        def work():
+            with tempfile.TemporaryDirectory() as folder:
+                file = pathlib.Path(folder, "a.ssplat")
+                run([self.program, "--threads", "1", "encode", picture, file, "--ratio", ratio, "--quiet", "--force"])
+                run([self.program, "--threads", "1", "decode", file, decoded, "--quiet", "--layers", "gaussians"])
+                return json.loads(run([self.program, "info", file, "--json"])[0])
+        info = self.cache.kept(f"layers {self.build} {picture.name} {ratio}", work)
+        return 1 - (info["detail"] or {"bytes": 0})["bytes"] / info["bytes"], Image.open(decoded).convert("RGB")
 
     def avif(self, picture, ratio, speed):
         """Returns the same of AVIF, or None if no file fits. The subsampling is the one with the higher SSIMULACRA2 at speed
@@ -161,10 +186,35 @@ def make(args):
             print(name, key[name].get("left_out", ""), flush=True)
 
 
+def color_error(original, made, crop):
+    import numpy
+    x, y, width, height = crop
+    pixels = [numpy.asarray(image.crop((x, y, x + width, y + height)).convert("YCbCr"), numpy.float32)[..., 1:] for image in (original, made)]
+    means = (pixels[0] - pixels[1]).reshape(height // 8, 8, width // 8, 8, 2).mean((1, 3))
+    return float(abs(means).mean())
+
+
+def layers(args):
+    lab, rows = Lab(args), []
+    args.sheets.mkdir(parents=True, exist_ok=True)
+    for _, settings, crop in crops(args):
+        picture = lab.picture(crop["picture"])
+        original = Image.open(picture)
+        for ratio in [int(ratio) for ratio in args.ratios.split(",")] if args.ratios else settings["ratios"]:
+            made = Image.open(lab.ours(picture, ratio)[1]).convert("RGB")
+            share, gaussians = lab.gaussians(picture, ratio)
+            lab.sheet(crop, [original, made, gaussians]).save(args.sheets / f"{name_of(crop, ratio)}-layers.png")
+            other = lab.avif(picture, ratio, settings["avif_speed"])[1]
+            errors = [color_error(original, image, crop["crop"]) if image else float("nan") for image in (made, gaussians, other)]
+            rows.append([pathlib.Path(crop["picture"]).stem[:16] + " " + ",".join(map(str, crop["crop"])), str(ratio), number(share, 2), *(number(error, 2) for error in errors)])
+            print(*rows[-1], flush=True)
+    print(table(["picture, crop", "ratio", "Gaussians, share", "colour, file", "colour, Gaussians alone", "colour, AVIF"], rows))
+
+
 def named(sentence, left):
     """Puts the names of the codecs in the place of the words left and right."""
     sides = {"left": left, "right": CODECS[left == CODECS[0]]}
-    return re.sub(r"\b(left|right)\b", lambda word: sides[word[0].lower()], sentence, flags=re.IGNORECASE)
+    return re.sub(r"\b(on the )?(left|right)\b", lambda word: ("with " if word[1] else "") + sides[word[2].lower()], sentence, flags=re.IGNORECASE)
 
 
 def verdicts(path, key):
@@ -212,7 +262,9 @@ def reveal(args):
         subjects = collections.defaultdict(list)
         for verdict in of:
             subjects[verdict["subject"]].append(verdict)
-        counts = counted({"all": of, **dict(sorted(subjects.items()))}, ratios)
+        leads = {name: [verdict for verdict in of if chosen(verdict["ssplat"]["ssimulacra2"] - verdict["AVIF"]["ssimulacra2"])] for name, chosen in (
+            (f"SSIMULACRA2 of ssplat higher by {LEAD} or more", lambda lead: lead >= LEAD), ("by less, or lower", lambda lead: lead < LEAD))}
+        counts = counted({"all": of, **leads, **dict(sorted(subjects.items()))}, ratios)
         tables[f"counts {group}"] = table(["subject", *(f"at {ratio}" for ratio in ratios)], counts)
         rows = []
         for fault in FAULTS:
@@ -231,10 +283,29 @@ def reveal(args):
             print(f"\n{name}\n\n{text}")
 
 
+def store(args):
+    key, *names = args.paths
+    sheets, key = [], json.loads(key.read_text())
+    for name in map(str, names):
+        sheet = Image.open(args.paths[0].parent / f"{name}.png")
+        if name in key and key[name]["left"] == CODECS[1]:
+            width = (sheet.width - 2 * GAP) // 3
+            sides = [sheet.crop((at * (width + GAP), 0, at * (width + GAP) + width, sheet.height)) for at in (1, 2)]
+            sheet.paste(sides[1], (width + GAP, 0))
+            sheet.paste(sides[0], (2 * (width + GAP), 0))
+        sheets.append(sheet)
+    whole = Image.new("RGB", (max(sheet.width for sheet in sheets), sum(sheet.height + GAP for sheet in sheets) - GAP), "white")
+    for sheet in sheets:
+        whole.paste(sheet, (0, sum(other.height + GAP for other in sheets[:sheets.index(sheet)])))
+    whole.save(args.store, quality=80, method=6)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reveal", type=pathlib.Path, metavar="VERDICTS", help="count the verdicts of this file; the only other path is that of the key")
-    parser.add_argument("paths", type=pathlib.Path, nargs="+", metavar="PATH", help="PICTURES PROGRAM SHEETS, or KEY")
+    parser.add_argument("--store", type=pathlib.Path, metavar="WEBP", help="store sheets in this file; the paths are the key and the names of sheets")
+    parser.add_argument("--layers", action="store_true", help="show the layers of the files of the program")
+    parser.add_argument("paths", type=pathlib.Path, nargs="+", metavar="PATH", help="PICTURES PROGRAM SHEETS, KEY, or KEY and names")
     parser.add_argument("--group", help="only the crops of this group")
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
     parser.add_argument("--ratios", help="by default those of lab/crops.json")
@@ -243,6 +314,9 @@ def main():
     parser.add_argument("--cache", type=pathlib.Path, default=root / "target/sheets")
     parser.add_argument("--page", type=pathlib.Path, help="with --reveal: write the tables into this document")
     args = parser.parse_args()
+    if args.store:
+        store(args)
+        return
     if len(args.paths) != (1 if args.reveal else 3):
         parser.error("PICTURES, PROGRAM and SHEETS are needed, or with --reveal the key alone")
     if args.reveal:
@@ -250,7 +324,7 @@ def main():
         reveal(args)
     else:
         args.pictures, args.program, args.sheets = args.paths
-        make(args)
+        (layers if args.layers else make)(args)
 
 
 if __name__ == "__main__":
