@@ -9,16 +9,15 @@
 
 PICTURES contains one folder for each set. lab/crops.json lists the crops, which were chosen from the originals alone, and for
 each group of them the ratios and the speed of AVIF. Each picture is encoded whole, with the default of the program and with
-AVIF in at most the bytes of the ratio, 4:2:0 or 4:4:4, whichever has the higher SSIMULACRA2. SHEETS gets a PNG for each crop
-and ratio: the original, the left and the right codec, enlarged by --zoom if the crop is narrower than 384 pixels. A number of
+AVIF in at most the bytes of the ratio, 4:2:0 or 4:4:4, whichever has the higher SSIMULACRA2 at speed 8. SHEETS gets a PNG for
+each crop and ratio: the original, the left and the right codec, enlarged by --zoom if the crop is narrower than 384 pixels. A number of
 --seed and the name of the sheet decide which codec is left. SHEETS/key.json says which it is, with bytes and measures. Crops
 of a file that is equal to the picture get no sheet; neither do those of which AVIF has no file that is small enough.
 
 VERDICTS has the columns sheet, better (left, right or equal), left_faults and right_faults (words of FAULTS, separated by
 semicolons) and why (a sentence in which the words left and right mean the codecs). --reveal prints the verdicts with the names
-of the codecs, and counts them by subject, ratio and fault. --page writes these tables into a document.
-
-The command prints no measures.
+of the codecs, and counts them by subject, ratio and fault. --page writes these tables into a document. Without --reveal, the
+command prints no measures.
 
 --store puts some sheets below each other, as original, ssplat and AVIF, or as --layers wrote them.
 
@@ -75,7 +74,7 @@ class Lab:
 
     def picture(self, name):
         """Returns a copy of a picture in RGB without metadata."""
-        copy = self.args.cache / "pixels" / name.replace("/", "-")
+        copy = (self.args.cache / "pixels" / name.replace("/", "-")).with_suffix(".png")
         if not copy.exists():
             image = Image.open(self.args.pictures / name).convert("RGB")
             image.info.clear()
@@ -206,7 +205,7 @@ def layers(args):
             lab.sheet(crop, [original, made, gaussians]).save(args.sheets / f"{name_of(crop, ratio)}-layers.png")
             other = lab.avif(picture, ratio, settings["avif_speed"])[1]
             errors = [color_error(original, image, crop["crop"]) if image else float("nan") for image in (made, gaussians, other)]
-            rows.append([pathlib.Path(crop["picture"]).stem[:16] + " " + ",".join(map(str, crop["crop"])), str(ratio), number(share, 2), *(number(error, 2) for error in errors)])
+            rows.append([pathlib.Path(crop["picture"]).stem + " " + ",".join(map(str, crop["crop"])), str(ratio), number(share, 2), *(number(error, 2) for error in errors)])
             print(*rows[-1], flush=True)
     print(table(["picture, crop", "ratio", "Gaussians, share", "colour, file", "colour, Gaussians alone", "colour, AVIF"], rows))
 
@@ -255,7 +254,7 @@ def reveal(args):
         ratios = sorted({verdict["ratio"] for verdict in of})
         rows = []
         for verdict in of:
-            place = f"{pathlib.Path(verdict['picture']).stem[:16]} {','.join(map(str, verdict['crop']))}"
+            place = f"{pathlib.Path(verdict['picture']).stem} {','.join(map(str, verdict['crop']))}"
             points = " / ".join(number(verdict[codec]["ssimulacra2"], 1) for codec in CODECS)
             rows.append([place, verdict["subject"], str(verdict["ratio"]), verdict["better"], *(", ".join(verdict["faults"][codec]) or "none" for codec in CODECS), points, verdict["why"]])
         tables[f"verdicts {group}"] = table(["picture, crop", "subject", "ratio", "better", "faults of ssplat", "faults of AVIF", "SSIMULACRA2", "why"], rows, left=8)
@@ -295,8 +294,10 @@ def store(args):
             sheet.paste(sides[0], (2 * (width + GAP), 0))
         sheets.append(sheet)
     whole = Image.new("RGB", (max(sheet.width for sheet in sheets), sum(sheet.height + GAP for sheet in sheets) - GAP), "white")
+    top = 0
     for sheet in sheets:
-        whole.paste(sheet, (0, sum(other.height + GAP for other in sheets[:sheets.index(sheet)])))
+        whole.paste(sheet, (0, top))
+        top += sheet.height + GAP
     whole.save(args.store, quality=80, method=6)
 
 
