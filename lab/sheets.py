@@ -23,13 +23,15 @@ command prints no measures.
 
 --layers shows where a fault comes from, after the verdicts: sheets of the original, the file and its Gaussians alone, and a
 table of the share of the bytes that are Gaussians, and the errors of colour of the file, of its Gaussians alone and of AVIF:
-the mean absolute error of the means of Cb and Cr over 8 × 8 pixels of the crop, in code values.
+the mean absolute error of the means of Cb and Cr over 8 × 8 pixels of the crop, in code values. "Flat cells" is the share of
+the cells of 4 × 4 pixels in which the range of luma is below that which the encoder takes for flat ground, in the original and
+in a copy blurred with σ = 1.5.
 
 Files and measures of AVIF are cached in --cache. It needs Pillow 12 or newer.
 """
 import argparse, collections, csv, dataclasses, json, math, pathlib, random, re, sys, tempfile
 
-from PIL import Image
+from PIL import Image, ImageFilter
 
 from other_codecs import Cache, Files, avif, measured, programs, run
 from report import number, table, write_tables
@@ -42,6 +44,8 @@ SEARCH = 8
 GAP = 8
 # Difference in SSIMULACRA2 by which the verdicts are divided.
 LEAD = 5
+# Range of luma below which the encoder takes a cell for flat ground (src/encode/detail/flat_cells.rs).
+FLAT_RANGE = 4
 
 
 def crops(args):
@@ -193,6 +197,14 @@ def color_error(original, made, crop):
     return float(abs(means).mean())
 
 
+def flat_cells(image, crop):
+    """Returns the share of the cells of 4 × 4 pixels that the encoder regards as flat, in this crop."""
+    import numpy
+    x, y, width, height = crop
+    cells = numpy.asarray(image.convert("L").crop((x, y, x + width, y + height)), numpy.float32).reshape(height // 4, 4, width // 4, 4)
+    return float((cells.max((1, 3)) - cells.min((1, 3)) < FLAT_RANGE).mean())
+
+
 def layers(args):
     lab, rows = Lab(args), []
     args.sheets.mkdir(parents=True, exist_ok=True)
@@ -205,9 +217,9 @@ def layers(args):
             lab.sheet(crop, [original, made, gaussians]).save(args.sheets / f"{name_of(crop, ratio)}-layers.png")
             other = lab.avif(picture, ratio, settings["avif_speed"])[1]
             errors = [color_error(original, image, crop["crop"]) if image else float("nan") for image in (made, gaussians, other)]
-            rows.append([pathlib.Path(crop["picture"]).stem + " " + ",".join(map(str, crop["crop"])), str(ratio), number(share, 2), *(number(error, 2) for error in errors)])
+            rows.append([pathlib.Path(crop["picture"]).stem + " " + ",".join(map(str, crop["crop"])), str(ratio), number(share, 2), *(number(error, 2) for error in errors), *(number(flat_cells(image, crop["crop"]), 2) for image in (original, original.filter(ImageFilter.GaussianBlur(1.5))))])
             print(*rows[-1], flush=True)
-    print(table(["picture, crop", "ratio", "Gaussians, share", "colour, file", "colour, Gaussians alone", "colour, AVIF"], rows))
+    print(table(["picture, crop", "ratio", "Gaussians, share", "colour, file", "colour, Gaussians alone", "colour, AVIF", "flat cells", "flat if smoothed"], rows))
 
 
 def named(sentence, left):
