@@ -258,6 +258,12 @@ pub(super) fn rounds(state: &EncodeState<'_>, shared: u64) -> u32 {
     }
 }
 
+/// Returns whether the Gaussians' integers are optimized under the layer.
+pub(super) fn has_rounds(state: &EncodeState<'_>) -> bool {
+    // The number of rounds depends on the size of the file, but not whether there are any.
+    rounds(state, 1) > 0
+}
+
 /// Returns whether the encoder tries several sizes until the file reaches the requested quality.
 pub(super) fn is_search(target: Target) -> bool {
     match target {

@@ -21,6 +21,7 @@ mod trellis;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::allocation;
 use super::input::stored_scene;
 use super::prepared::Prepared;
 use super::state::Outcome;
@@ -41,8 +42,8 @@ use parts::Parts;
 use residual::TileResidual;
 use search::{Coded, search};
 use settings::{
-    BlockChoice, Closeness, LevelSearch, Preset, SearchSettings, for_drawing, least_drawing_bits, preset,
-    search_settings,
+    BlockChoice, Closeness, LevelSearch, Preset, SearchSettings, for_drawing, least_drawing_bits, over_fixed_base,
+    preset, search_settings,
 };
 
 /// Maximum number of pixels for which memory holds the whole residual, at about 30 bytes per pixel. For larger pictures
@@ -195,6 +196,9 @@ fn settings_of_layer(picture: &WholePicture<'_>, max_bytes: u64) -> SearchSettin
     if !avoids_ringing {
         settings.coding.mixed.ringing = None;
     }
+    if !allocation::has_rounds(&picture.state) {
+        settings = over_fixed_base(settings, layer_tune(picture));
+    }
     settings
 }
 
@@ -253,7 +257,7 @@ pub(super) fn layered_in_parts(prepared: &mut Prepared<'_>, mut base: Outcome, m
     let clock = state.report.seconds();
     let (channels, tune, hidden) = (state.channels, state.options.favoured(), state.options.hidden);
     let parts = Parts { source, splats: &base.splats, channels, tune, hidden };
-    let settings = search_settings(tune, channels, source.channels().alpha().is_some());
+    let settings = over_fixed_base(search_settings(tune, channels, source.channels().alpha().is_some()), tune);
     let Some(left) = left_for_layer(parts.splats, &settings, max_bytes, |empty| state.file(empty))? else {
         return Ok(base);
     };

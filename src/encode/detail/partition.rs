@@ -24,7 +24,7 @@ pub(super) fn blocks_among(
     setting: &Setting,
 ) -> [Vec<u8>; KINDS] {
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
-    let factors = Factors::new(setting.head);
+    let factors = Factors::new(setting.head, setting.gain);
     let mut chooser = BlockChooser { setting, classes, all, factors, ground, sizes };
     for at in TileState::new(tile.size).superblocks() {
         for (kind, _) in kinds(setting.channels, setting.head.alpha) {
@@ -108,7 +108,8 @@ mod tests {
         let tile = TileResidual { size: [TILE, TILE], planes, luma };
         let head = DetailHead { step: 640, ..DetailHead::PLAIN };
         let (level_search, blocks_by) = (LevelSearch::Thorough, BlockChoice::Rough);
-        let setting = Setting { head, channels: Channels::Grey, lambda: 0.1, level_search, blocks: blocks_by, mixed };
+        let setting =
+            Setting { head, channels: Channels::Grey, lambda: 0.1, gain: 1.0, level_search, blocks: blocks_by, mixed };
         let ground = Ground::of(&tile, mixed.flat_range);
         let [[estimated, ..], [priced, ..]] = [
             blocks(&tile, (&[], &ground), &setting),

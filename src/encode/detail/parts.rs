@@ -7,7 +7,7 @@
 use super::adaptive_quantization::{Masking, activities};
 use super::residual::{TileResidual, residual};
 use super::search::{Coded, code, search, smallest_step};
-use super::settings::{SearchSettings, search_settings};
+use super::settings::{SearchSettings, over_fixed_base, search_settings};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
@@ -52,11 +52,8 @@ impl Parts<'_> {
     ) -> Result<Option<DetailLayer>> {
         on_progress(0.0)?;
         let count = self.count();
-        let settings = SearchSettings {
-            max_bytes,
-            max_runs: RUNS,
-            ..search_settings(self.tune, self.channels, self.source.channels().alpha().is_some())
-        };
+        let usual = search_settings(self.tune, self.channels, self.source.channels().alpha().is_some());
+        let settings = SearchSettings { max_bytes, max_runs: RUNS, ..over_fixed_base(usual, self.tune) };
         let sample_size = (count / SAMPLED).clamp(8, 64);
         // The positions are independent of rows and columns.
         let place = |k: usize| ((k as u64 * 0x9e37_79b9 & 0xffff_ffff) * count as u64 >> 32) as usize;

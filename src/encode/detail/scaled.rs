@@ -15,12 +15,14 @@ const LARGEST_BLOCK: usize = (CELL << (SIZES - 1)) * (CELL << (SIZES - 1));
 /// computed on first use.
 pub(super) struct Factors {
     head: DetailHead,
+    /// Factor on the coefficients of luma.
+    gain: f32,
     factors: Vec<Vec<f32>>,
 }
 
 impl Factors {
-    pub(super) fn new(head: DetailHead) -> Self {
-        Factors { head, factors: vec![Vec::new(); CLASSES * PLANES * SIZES] }
+    pub(super) fn new(head: DetailHead, gain: f32) -> Self {
+        Factors { head, gain, factors: vec![Vec::new(); CLASSES * PLANES * SIZES] }
     }
 
     /// Returns the factors of a block of `plane` in a superblock of `class`, row by row.
@@ -30,7 +32,8 @@ impl Factors {
             let steps = PlaneSteps::new(&self.head, plane, class);
             let n = CELL << size;
             // Steps are in 1/64 code value, coefficients in 1/16.
-            *factors = (0..n * n).map(|i| 4.0 / steps.step(size, i % n, i / n) as f32).collect();
+            let scale = if plane == 0 { 4.0 * self.gain } else { 4.0 };
+            *factors = (0..n * n).map(|i| scale / steps.step(size, i % n, i / n) as f32).collect();
         }
         factors
     }
@@ -171,7 +174,7 @@ mod tests {
         let (plane, class, size, cell) = (1, 2, 2, [4, 8]);
         let n = CELL << size;
         let coefficients: Vec<f32> = (0..TILE * TILE).map(|i| (i * 7919 % 2001) as f32 - 1000.0).collect();
-        let (mut factors, mut values) = (Factors::new(head), Values::default());
+        let (mut factors, mut values) = (Factors::new(head, 1.0), Values::default());
         values.take(&coefficients, cell, size, factors.of(class, plane, size));
         let steps = PlaneSteps::new(&head, plane, class);
         let value = |u: usize, v: usize| {

@@ -176,7 +176,7 @@ impl<'a> Chooser<'a> {
             models: Models::start(),
             dense,
             block: Block::default(),
-            factors: Factors::new(setting.head),
+            factors: Factors::new(setting.head, setting.gain),
             values: Values::default(),
             candidates: Vec::new(),
             doubtful: Vec::new(),
