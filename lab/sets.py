@@ -19,7 +19,7 @@ program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, in
 also prints the lead in PSNR over vvenc (medium), interpolated to its bytes from docs/kodak-modern.csv.
 
 --shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
-the results. lab/fit_division.py fits the constants of src/encode/allocation.rs.
+the results. lab/fit_division.py fits the constants of src/constants/allocation.rs.
 
 --page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
 XL (effort 7) and WebP (method 6). The chart is written if all four of its sets are measured. --efforts writes the table of

@@ -2,10 +2,10 @@
 
 use super::file;
 use super::input::stored_scene;
-use super::score_curve::AIM_ABOVE;
 use super::state::Outcome;
 use super::whole::WholePicture;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::quality;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::objective::rows::RowSet;
@@ -44,7 +44,7 @@ pub(super) fn trim(picture: &mut WholePicture<'_>, outcome: &mut Outcome, wanted
         let found = picture.score(&without(&order[..count]))?;
         if found >= wanted {
             (sure, points) = (count, Some(found));
-            if found - wanted < AIM_ABOVE {
+            if found - wanted < quality::AIM_ABOVE {
                 break;
             }
         } else {
@@ -56,7 +56,7 @@ pub(super) fn trim(picture: &mut WholePicture<'_>, outcome: &mut Outcome, wanted
     // individually.
     let mut out = order[..sure].to_vec();
     for &i in order[sure..].iter().take(MAX_SINGLY_REMOVED) {
-        if points.is_none_or(|p| p - wanted < AIM_ABOVE) || picture.state.clock.is_over() {
+        if points.is_none_or(|p| p - wanted < quality::AIM_ABOVE) || picture.state.clock.is_over() {
             break;
         }
         out.push(i);

@@ -10,9 +10,6 @@ use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::parallel;
 
-/// Restore the best state if the final error exceeds its error by this factor.
-pub(crate) const CLEARLY_WORSE: f64 = 1.01;
-
 /// The state of a fit.
 #[derive(Debug)]
 pub(crate) struct State {
@@ -176,7 +173,6 @@ mod tests {
     use crate::fit::model::adam::price;
     use crate::fit::model::objective::planes::Planes;
     use crate::fit::model::problem::Scene;
-    use crate::fit::plan::LAST_RATE;
     use crate::fit::schedule::RATES;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
@@ -201,7 +197,8 @@ mod tests {
             .collect();
         let fitted = |priced: bool| {
             let mut state = State::new(primitives.clone(), Bounds::new(96, 80));
-            let before = State::descend(&mut state, &problem, RowSet::ALL, RATES.scaled(LAST_RATE));
+            let before =
+                State::descend(&mut state, &problem, RowSet::ALL, RATES.scaled(crate::constants::fit::LAST_RATE));
             state.price = if priced { price(before, [96, 80], RowSet::ALL, primitives.len()) } else { 0.0 };
             let mut after = 0.0;
             for i in 0..200 {

@@ -3,9 +3,10 @@
 use std::ops::Range;
 
 use super::flat_cells::MixedBlocks;
-use super::quant_matrix::{Knot, Slopes};
+use super::quant_matrix::Slopes;
 use crate::bitstream::detail::DetailHead;
 use crate::bitstream::detail::head::parameter_bytes;
+use crate::constants::detail::{self, Knot};
 use crate::gaussian::Channels;
 use crate::options::Tune;
 use crate::strict_math::StrictMath;
@@ -89,71 +90,32 @@ pub(super) struct Closeness {
 }
 
 impl Closeness {
-    pub(super) const USUAL: Closeness = Closeness { max_shortfall: 0.004, below: 0.0015 };
+    pub(super) const USUAL: Closeness = Closeness { max_shortfall: detail::MAX_SHORTFALL, below: detail::AIMS_BELOW };
 }
 
-/// Maximum number of coder runs in a search.
-const RUNS: u32 = 7;
 /// Returns the coding parameters that favour a quality measure.
 pub(super) fn preset(tune: Tune) -> Preset {
     match tune {
-        // The biases of `DetailHead::PLAIN` lose 0.02 dB at a ratio of 20 and nothing at 50.
         Tune::Psnr => Preset {
-            head: DetailHead { biases: [1, 3], ..DetailHead::PLAIN },
-            lambda: 0.10,
+            head: DetailHead { biases: detail::PSNR_BIASES, ..DetailHead::PLAIN },
+            lambda: detail::PSNR_LAMBDA,
             powers: [0.0; 2],
             slopes: Slopes(&[Knot { step: 1, slopes: [0, 0], chroma: DetailHead::PLAIN.chroma }]),
         },
         Tune::Ssim => Preset {
-            head: DetailHead { biases: [2, 4], ..DetailHead::SEEN },
-            lambda: 0.09,
-            powers: [0.08; 2],
-            // Compared with slopes of 16 at every step, at effort 3, these gain 0.0011 of MS-SSIM (1.9 SSIMULACRA2
-            // points) on seven pictures at a ratio of 50 and 0.0037 on three Kodak pictures at 100. They lose 0.26 and
-            // 0.33 dB. λ = 0.075 changes nothing.
-            slopes: Slopes(&[
-                Knot { step: 600, slopes: [16, 16], chroma: [48, 32] },
-                Knot { step: 3000, slopes: [90, 40], chroma: [48, 32] },
-            ]),
+            head: DetailHead { biases: detail::SSIM_BIASES, ..DetailHead::SEEN },
+            lambda: detail::SSIM_LAMBDA,
+            powers: detail::SSIM_VARIANCE_EXPONENTS,
+            slopes: Slopes(detail::SSIM_SLOPES),
         },
-        // Compared with slopes of 40 at every step, at a ratio of 100 and effort 2, these gain 4.3 SSIMULACRA2 points
-        // on three Kodak pictures and 0.5 on two of CLIC. They lose 0.39 and 0.11 dB. The power grows as well. It
-        // gains 0.02, 0.1 and 0.2 points on Kodak and CID22 at ratios of 20, 50 and 100, and loses 0.00, 0.01 and 0.03
-        // of Butteraugli. With 0.22 Butteraugli loses three times as much. The first knot is for small steps.
-        // On 18 pictures of Kodak and CID22 at a ratio of 10, that knot gains 0.1 points and 0.03 of Butteraugli;
-        // drawings would lose 0.7 points by its chroma. Chroma slopes of 40 and 60 instead of 100 and 150 lose 0.05 to
-        // 0.16 points on Kodak, CID22 and CLIC at ratios of 20 to 100.
         Tune::Iq => Preset {
             head: DetailHead::SEEN,
-            lambda: 0.1,
-            powers: [0.11, 0.165],
-            slopes: Slopes(&[
-                Knot { step: 100, slopes: [10, 40], chroma: [80, 40] },
-                Knot { step: 600, slopes: [40, 100], chroma: [64, 32] },
-                Knot { step: 3000, slopes: [130, 150], chroma: [64, 32] },
-            ]),
+            lambda: detail::IQ_LAMBDA,
+            powers: detail::IQ_VARIANCE_EXPONENTS,
+            slopes: Slopes(detail::IQ_SLOPES),
         },
     }
 }
-
-/// Minimum bits of the layer per pixel for which a drawing is coded with the parameters for drawings. A screenshot and
-/// a page gain 5.4 and 0.5 SSIMULACRA2 points with 0.3 bits (a ratio of 50), and 5.6 and 2.6 points with 0.11 bits (a
-/// ratio of 100). Three diagrams gain 0.0 to 0.3 points with 0.25 bits (a ratio of 50). They lose up to 0.9 points with
-/// 0.06 bits. With 0.03 bits (a ratio of 200), all but one lose up to 5 points, because the layer has few levels there
-/// and larger blocks are cheaper.
-const DRAWING_BITS: f64 = 0.09;
-/// Number of pixels above which these bits grow, and the exponent. On parts of 2048 × 2048 pixels of a map and of a
-/// page, the parameters for drawings lose 3.3 and 2.4 points with 0.1 bits (a ratio of 200); with 0.2 bits (100), they
-/// lose 1.2 and gain 0.5.
-const DRAWING_BITS_PIXELS: f64 = 262_144.0;
-const DRAWING_BITS_POWER: f64 = 0.2;
-/// Growth of the steps with frequency in drawings, whose lines are sharp in coarse layers too.
-const DRAWING_SLOPES: Slopes = Slopes(&[
-    Knot { step: 600, slopes: [20, 40], chroma: [64, 32] },
-    Knot { step: 3000, slopes: [40, 60], chroma: [64, 32] },
-]);
-/// Exponent of the luma variance with which the steps grow in drawings.
-const DRAWING_POWER: f32 = 0.06;
 
 /// Parameters for coding a layer.
 pub(super) struct Preset {
@@ -181,7 +143,7 @@ pub(super) fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -
         powers,
         slopes,
         max_bytes: 0,
-        max_runs: RUNS,
+        max_runs: detail::MAX_RUNS,
         closeness: Closeness::USUAL,
         keeps_blocks: false,
     }
@@ -190,7 +152,8 @@ pub(super) fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -
 /// Returns the minimum bits of the layer per pixel for which a drawing of `pixels` pixels is coded with the parameters
 /// for drawings.
 pub(super) fn least_drawing_bits(pixels: u64) -> f64 {
-    DRAWING_BITS * (pixels as f64 / DRAWING_BITS_PIXELS).max(1.0).strict_powf(DRAWING_BITS_POWER)
+    detail::MIN_DRAWING_BITS
+        * (pixels as f64 / detail::DRAWING_BITS_PIXELS).max(1.0).strict_powf(detail::DRAWING_BITS_EXPONENT)
 }
 
 /// Returns the parameters for a layer over a drawing, given those for a photograph.
@@ -201,8 +164,8 @@ pub(super) fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSet
     if tune == Tune::Iq {
         // Prices do not include the cost of blocks with flat ground.
         settings.coding.blocks = BlockChoice::Rough;
-        settings.powers = [DRAWING_POWER; 2];
-        settings.slopes = DRAWING_SLOPES;
+        settings.powers = [detail::DRAWING_VARIANCE_EXPONENT; 2];
+        settings.slopes = Slopes(detail::DRAWING_SLOPES);
         settings.slopes.apply(&mut settings.coding.head);
     }
     settings
@@ -219,7 +182,7 @@ mod tests {
 
     #[test]
     fn large_drawings_need_more_bits_for_the_parameters_of_drawings() {
-        assert_eq!([1, 300 * 300, 512 * 512].map(least_drawing_bits), [DRAWING_BITS; 3]);
+        assert_eq!([1, 300 * 300, 512 * 512].map(least_drawing_bits), [detail::MIN_DRAWING_BITS; 3]);
         let large = least_drawing_bits(2048 * 2048);
         assert!(large > 0.13 && large < 0.19, "{large}");
     }
