@@ -15,7 +15,7 @@ one compiles everything; --target keeps it for the next command. Nothing else st
 --list prints all constants, or those whose path or documentation contains a word. The command exits with status 1 if there is no such
 constant, if a value does not have its type, or if a build or an encode fails.
 """
-import argparse, ast, dataclasses, difflib, pathlib, re, shutil, signal, subprocess, sys, tempfile, textwrap
+import argparse, ast, dataclasses, difflib, os, pathlib, re, shutil, signal, subprocess, sys, tempfile, textwrap
 
 root = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = pathlib.Path("src/constants")
@@ -118,21 +118,29 @@ def replaced(text, constant, value):
 
 
 def copy_of_repository(folder):
-    """Copies the files of the repository as they are now, without those that git ignores."""
+    """Copies the files of the repository as they are now, without those that git ignores. Their times are those of the
+    copy, so that cargo takes no file for one of an earlier build in the same target folder."""
     listed = subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=root, capture_output=True, check=True).stdout
     for name in listed.decode().split("\0"):
-        if name and (root / name).is_file():
+        if name and ((root / name).is_file() or (root / name).is_symlink()):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(root / name, folder / name)
+            shutil.copy(root / name, folder / name, follow_symlinks=False)
 
 
-def built(folder, target, constant, value, to):
-    """Builds the program with a value of the constant, as the file `to`."""
-    from other_codecs import run
-    text = (root / FOLDER / constant.file).read_text()
+def built(folder, target, constant, text, value, to):
+    """Builds the program with a value of the constant in `text`, as the file `to`."""
     (folder / FOLDER / constant.file).write_text(replaced(text, constant, value))
     print(f"building with {constant.path} = {value}", file=sys.stderr, flush=True)
-    run(["cargo", "build", "--release", "-q", "-p", "ssplat-cli", "--manifest-path", folder / "Cargo.toml", "--target-dir", target], {"CARGO_INCREMENTAL": "1"})
+    command = ["cargo", "build", "--release", "-q", "-p", "ssplat-cli", "--manifest-path", folder / "Cargo.toml", "--target-dir", target]
+    # A group of its own, so that the compilers end with cargo.
+    cargo = subprocess.Popen(command, env=os.environ | {"CARGO_INCREMENTAL": "1"}, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        said = cargo.communicate()[1]
+    except BaseException:
+        os.killpg(cargo.pid, signal.SIGKILL)
+        raise
+    if cargo.returncode:
+        raise SystemExit(f"{constant.path} = {value} does not build:\n{said}")
     shutil.copy2(target / "release/ssplat", to)
 
 
@@ -141,9 +149,10 @@ def measure(args, constant, values, temporary):
     import sets
     folder, target = temporary / "repository", (args.target or temporary / "target").resolve()
     copy_of_repository(folder)
+    text = (folder / FOLDER / constant.file).read_text()
     programs = []
     for i, value in enumerate(values):
-        built(folder, target, constant, value, temporary / f"ssplat{i}")
+        built(folder, target, constant, text, value, temporary / f"ssplat{i}")
         programs.append(f"{i}={temporary}/ssplat{i}")
     options = args.options + (f" --effort {args.effort}" if args.effort else "")
     lab = sets.Lab(argparse.Namespace(
@@ -199,7 +208,7 @@ def arguments():
     parser.add_argument("--ratio", default="50", help="ratios, separated by commas")
     parser.add_argument("--effort", type=int)
     parser.add_argument("--options", default="", help="further options of encode")
-    parser.add_argument("--target", type=pathlib.Path, help="target folder of the builds; by default a temporary one")
+    parser.add_argument("--target", type=pathlib.Path, help="target folder of the builds, for this command alone; by default a temporary one")
     return parser.parse_args()
 
 

@@ -18,6 +18,8 @@ pub(crate) const MAX_SINGLY_PRUNED: usize = 64;
 /// Maximum number of rounds. Each removes primitives that are not needed, and a sweep over the rest makes room for the
 /// next round.
 pub(crate) const MAX_PRUNING_ROUNDS: usize = 6;
+/// A round that removes less than one primitive in this many is the last.
+pub(crate) const MIN_PRUNED_PART: usize = 50;
 
 // Thumbnails (`thumbnail.rs`).
 

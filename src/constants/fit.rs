@@ -39,9 +39,12 @@ pub(crate) const REFERENCE_COUNT: f32 = 5500.0;
 pub(crate) const SPARSE_EXPONENT: f32 = -0.95;
 /// Minimum and maximum of the factor on the iterations by the number of primitives.
 pub(crate) const DENSITY_FACTORS: [f32; 2] = [0.25, 9.0];
-/// Additional part of the iterations on small pictures with 12 000 to 25 000 primitives. It gains 0.1 dB and takes only
-/// seconds.
-pub(crate) const SMALL_PICTURE_EXTRA: f32 = 0.5;
+/// Additional part of the iterations on pictures that are not large, with the numbers of primitives in
+/// [`EXTRA_COUNTS`]. It gains 0.1 dB and takes only seconds.
+pub(crate) const EXTRA_ITERATIONS: f32 = 0.5;
+/// Numbers of primitives from which on it starts to apply, between which it applies in full, and from which on it does
+/// not apply.
+pub(crate) const EXTRA_COUNTS: [f32; 4] = [8000.0, 12_000.0, 25_000.0, 40_000.0];
 /// Factor on the iterations for squared error at a ratio of 20, up to effort 6. It gains 0.09 dB and nearly doubles the
 /// encoding time. At a ratio of 50 it would gain about as much for the same time; that is left to higher efforts.
 pub(crate) const MAX_EXACT_FIT_FACTOR: f32 = 2.5;
@@ -50,8 +53,8 @@ pub(crate) const MAX_EXACT_FIT_FACTOR: f32 = 2.5;
 pub(crate) const EXACT_FIT_RATIOS: [f64; 2] = [20.0, 50.0];
 /// Number of primitives from which on a fit has a brisk pace.
 pub(crate) const BRISK_COUNT: usize = 4000;
-/// Number of primitives from which on a picture is among the largest.
-pub(crate) const HUGE_COUNT: usize = 300_000;
+/// Numbers of primitives from which on the next of the [numbers of sweeps](crate::effort::FitSettings::sweeps) applies.
+pub(crate) const SWEEP_COUNTS: [usize; 3] = [2000, 40_000, 300_000];
 /// Number of pixels from which on a picture counts as large. Smaller pictures are fast enough to process completely.
 pub(crate) const LARGE_PIXELS: u64 = 1 << 21;
 /// Minimum number of steps of a fit that is reweighted. For a fit of about 60 steps at 14 megapixels, the measurements

@@ -16,7 +16,8 @@ pub(crate) const SINGLE_STEP_QUANTILE: f32 = 0.25;
 /// Binary logarithm of the size of these primitives relative to that step: a sixth of their size.
 pub(crate) const SINGLE_STEP_LOG_PART: f32 = 2.5;
 
-// Size of the file (`size.rs`, `size_loop.rs`).
+// Size of the file (`size.rs`, `size_loop.rs`). `cargo run --release -p ssplat-lab --example rate_distortion --
+// PICTURES` measures curves with other values, and the example `tiny_files` those of small files.
 
 /// Squared error that a bit must save, relative to the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes gains two to three decibels.

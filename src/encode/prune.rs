@@ -91,7 +91,7 @@ fn pruned(
         }
         best = without(sure);
         // The remaining gain would not be worth another round.
-        if sure * 50 < best.len() {
+        if sure * encode::MIN_PRUNED_PART < best.len() {
             break;
         }
     }

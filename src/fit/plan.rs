@@ -95,18 +95,13 @@ impl Plan {
         let exponent = if density < 1.0 { fit::SPARSE_EXPONENT } else { settings.dense_exponent };
         let patience = density.strict_powf(exponent).clamp(fit::DENSITY_FACTORS[0], fit::DENSITY_FACTORS[1]);
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
-        let extra = if pixels < fit::LARGE_PIXELS {
-            fit::SMALL_PICTURE_EXTRA * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0)
-        } else {
-            0.0
+        let [none, all, still_all, no_more] = fit::EXTRA_COUNTS;
+        let extra = match pixels < fit::LARGE_PIXELS {
+            true => fit::EXTRA_ITERATIONS * share(none, all) * share(no_more, still_all),
+            false => 0.0,
         };
         let iterations = (settings.iterations[usize::from(is_dense)] * patience * (1.0 + extra)) as u32;
-        let sweeps = settings.sweeps[match count {
-            ..2000 => 0,
-            2000..40_000 => 1,
-            40_000..fit::HUGE_COUNT => 2,
-            _ => 3,
-        }];
+        let sweeps = settings.sweeps[fit::SWEEP_COUNTS.iter().filter(|&&limit| count >= limit).count()];
         let freezing = if settings.freezes && count > 2000 { iterations / 4 } else { 0 };
         let now = Instant::now();
         let deadline = time.and_then(|t| now.checked_add(t));

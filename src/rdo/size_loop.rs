@@ -8,9 +8,6 @@ use crate::error::Result;
 use crate::instant::Instant;
 use crate::rdo::size::{Size, is_settled};
 
-// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES` measures the effect of other values of
-// these constants, and the example `tiny_files` does so for small files.
-
 /// Integers of a picture, and the file that they make.
 pub(crate) trait IntegerSet {
     /// A copy of the integers.
