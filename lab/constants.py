@@ -3,12 +3,13 @@
 
     python lab/constants.py detail::MIXED_COST 1.0 1.15 1.3 --pictures shared/images/kodak/kodim0*.png --ratio 50
     python lab/constants.py fit::FIT_FACTORS "[1.0, 1.3, 1.0, 0.8]" --pictures shared/images --sets kodak,cid22 --half choose --ratio 20,50
+    python lab/constants.py quality::MAX_TRIMMED_POINTS 0.5 4 --pictures small/*.png --ratio q50
     python lab/constants.py --list [WORD]
 
 --pictures names pictures, or a folder with one folder for each set of lab/sets.json; --sets then chooses the sets, and --half
 and --only the pictures, as in lab/sets.py. For each value, the command copies the repository as it is now to a
 temporary folder, replaces the constant there, and builds the program. It then encodes every picture at every ratio with each of the
-programs, on one thread, and prints a table for each ratio: means over all pictures, and the gain over the present value,
+programs, on one thread, and prints a table for each ratio or quality: means over all pictures, and the gain over the present value,
 whose row is marked. The present value is always measured. All builds use one temporary target folder, so that only the first
 one compiles everything; --target keeps it for the next command. Nothing else stays. Needs Pillow.
 
@@ -157,8 +158,8 @@ def measure(args, constant, values, temporary):
     options = args.options + (f" --effort {args.effort}" if args.effort else "")
     lab = sets.Lab(argparse.Namespace(
         programs=programs, cache=temporary / "files", pictures=args.pictures[0], half=args.half, only=args.only, options=options, crop=0, kind="rgb", repeat=1))
-    named = [picture for picture in args.pictures if picture.is_file()]
-    pictures = [lab.pixels(picture) for picture in named] if named else [p for name in args.sets.split(",") for p in lab.pictures(name)]
+    files = [picture for picture in args.pictures if picture.is_file()]
+    pictures = [lab.pixels(picture) for picture in files] if files else [p for name in args.sets.split(",") for p in lab.pictures(name)]
     if not pictures:
         raise SystemExit("no pictures")
     return {ratio: [[lab.ours(str(i), picture, ratio) | {"name": picture.stem} for picture in pictures] for i in range(len(values))] for ratio in args.ratio.split(",")}
@@ -183,6 +184,10 @@ def table_of(values, present, files):
     return table(["value", "bytes", "PSNR, dB", "SSIMULACRA2", "CPU s", "gain, dB", "gain, points", "worst picture", "time"], rows)
 
 
+def named(ratio):
+    return f"quality {ratio[1:]}" if ratio.startswith("q") else f"ratio {ratio}"
+
+
 def print_list(constants, word):
     part, section = None, None
     for constant in constants:
@@ -205,7 +210,7 @@ def arguments():
     parser.add_argument("--sets", default="kodak")
     parser.add_argument("--half", choices=["choose", "judge", "all"], default="choose")
     parser.add_argument("--only", default="", help="pictures of the sets whose names contain one of these words, separated by commas")
-    parser.add_argument("--ratio", default="50", help="ratios, separated by commas")
+    parser.add_argument("--ratio", default="50", help="ratios, or qualities such as q70, separated by commas")
     parser.add_argument("--effort", type=int)
     parser.add_argument("--options", default="", help="further options of encode")
     parser.add_argument("--target", type=pathlib.Path, help="target folder of the builds, for this command alone; by default a temporary one")
@@ -241,7 +246,7 @@ def main():
     with tempfile.TemporaryDirectory(prefix="ssplat-constants-") as temporary:
         found = measure(args, constant, values, pathlib.Path(temporary))
         for ratio, files in found.items():
-            print(f"\n{constant.path}, ratio {ratio}, {len(files[0])} pictures\n\n{table_of(values, present, files)}")
+            print(f"\n{constant.path}, {named(ratio)}, {len(files[0])} pictures\n\n{table_of(values, present, files)}")
 
 
 def self_test():

@@ -4,6 +4,9 @@
 //! for less time, gives a better picture: kodim05 at a ratio of 50 in 0.2 s reaches 38 points of SSIMULACRA2 with
 //! effort 2 and 26 with a fit of effort 5 that ends early. Without a layer it does not: the middle 256² pixels of
 //! CID22's 4843579 at a ratio of 50 in 0.2 s reach 48, 51 and 54 points with efforts 2, 3 and 5.
+//!
+//! On kodim05, 13, 15 and 23 with `--ratio 50 --time 1`, on two busy cores, the choice gains 8.6 points over effort 5,
+//! and the encode ends after 1.9 instead of 4.5 s. With `--time 0.3` it gains 2.9 points.
 
 use std::time::Duration;
 

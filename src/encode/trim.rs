@@ -1,4 +1,8 @@
 //! Removes primitives from a file whose score is above the requested one.
+//!
+//! It saves time: six pictures of 128 pixels at a quality of 50 and effort 3 take a third less than with a search that goes
+//! on until the score is close, whose files are 2 % smaller. `python lab/constants.py quality::MAX_TRIMMED_POINTS 0.5
+//! --pictures PICTURES --ratio q50 --effort 3` measures such a search.
 
 use super::file;
 use super::input::stored_scene;
