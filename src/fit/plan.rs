@@ -15,9 +15,6 @@ use crate::strict_math::StrictMath;
 pub(crate) struct Plan {
     /// Gradient steps of the float fit.
     pub iterations: u32,
-    /// Gradient steps during freezing, where primitives are fixed at lattice points. Descent alone comes within 0.05 dB
-    /// of it.
-    pub freezing: u32,
     /// Maximum number of descent sweeps over the integers.
     pub sweeps: u32,
     /// Iterations between relocations.
@@ -102,12 +99,11 @@ impl Plan {
         };
         let iterations = (settings.iterations[usize::from(is_dense)] * patience * (1.0 + extra)) as u32;
         let sweeps = settings.sweeps[fit::SWEEP_COUNTS.iter().filter(|&&limit| count >= limit).count()];
-        let freezing = if settings.freezes && count > 2000 { iterations / 4 } else { 0 };
         let now = Instant::now();
         let deadline = time.and_then(|t| now.checked_add(t));
         let fit_deadline = time.and_then(|t| now.checked_add(t.mul_f64(fit::FIT_TIME_SHARE)));
         let pace = if is_dense { Pace::Brisk } else { Pace::Steady };
-        Plan { freezing, sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
+        Plan { sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
     }
 
     /// Returns the schedule for primitives under a detail layer, which corrects what a short fit leaves. `ratio` is
@@ -138,7 +134,7 @@ impl Plan {
             (settings.last_rate, settings.relocated_share, Some(fit::BASE_DECAY))
         };
         let half = settings.half;
-        Plan { iterations, relocate_every, sweeps, freezing: 0, half, last_rate, relocated_share, decay, ..self }
+        Plan { iterations, relocate_every, sweeps, half, last_rate, relocated_share, decay, ..self }
     }
 
     /// Returns the schedule for a file without a detail layer.
@@ -146,11 +142,10 @@ impl Plan {
         Plan { half: Some(if tune == Tune::Psnr { HalfSize::LATE } else { settings.half }), ..self }
     }
 
-    /// Returns the schedule of a float fit of `iterations` steps, without freezing or sweeps.
+    /// Returns the schedule of a float fit of `iterations` steps, without sweeps.
     pub(crate) fn steps(iterations: u32, seed: u64) -> Self {
         Plan {
             iterations,
-            freezing: 0,
             sweeps: 0,
             relocate_every: (iterations / 24).clamp(8, fit::MAX_RELOCATION_INTERVAL),
             pace: Pace::Steady,
@@ -188,10 +183,6 @@ impl Plan {
             }
             None => 0.0,
         }
-    }
-
-    pub(crate) fn is_fit_over(&self) -> bool {
-        self.fit_deadline.is_some_and(|d| Instant::now() >= d)
     }
 }
 

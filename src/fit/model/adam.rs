@@ -80,14 +80,6 @@ pub(crate) fn price(error: f64, [width, height]: [u32; 2], rows: RowSet, count: 
     (0.5 * fit::AREA_PRICE * (pixels_each / fit::FULL_PRICE_PIXELS).min(1.0) * support * error) as f32
 }
 
-/// The parameters of a primitive that may change.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Freedom {
-    #[default]
-    All,
-    Color,
-}
-
 /// First and second moments of one primitive's gradient.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct AdamMoments {
@@ -105,7 +97,6 @@ pub(crate) fn update(
     p: &mut Primitive,
     m: &mut AdamMoments,
     g: &Gradient,
-    free: Freedom,
     bounds: &Bounds,
     rates: Rates,
     [c1, c2]: [f32; 2],
@@ -132,9 +123,6 @@ pub(crate) fn update(
     }
     for k in 0..4 {
         p.color[k] = (p.color[k] + rates.color * d[5 + k]).clamp(-4.0, 4.0);
-    }
-    if free == Freedom::Color {
-        return;
     }
     let (u, v) = (rates.mean * d[0] * sx, rates.mean * d[1] * sy);
     p.mean[0] += cos * u - sin * v;
