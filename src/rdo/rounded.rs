@@ -60,7 +60,7 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
     match layout {
         Layout::Coded => {
             // A PSNR that is not a number belongs to a picture without error.
-            let passed = rdo::STEP_PSNRS.iter().filter(|&&limit| !(psnr < limit)).count();
+            let passed = rdo::STEP_PSNRS.iter().filter(|&&limit| psnr >= limit || psnr.is_nan()).count();
             let [scale, position, luma] = rdo::CODED_STEPS[passed];
             let log2 = at(rdo::COARSEST_QUANTILE) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
             let coarsest = (log2.ceil() as i8).clamp(-2, 9);
