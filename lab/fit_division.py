@@ -7,8 +7,8 @@
 
 PICTURES contains one folder for each set in lab/sets.json. Each picture is encoded at each ratio without a layer and
 with several sizes of the base: factors on the size that the rule gives to a picture without fine texture. The scores
-(SSIMULACRA2) between these factors are interpolated. The command then finds the values of FINE_BASE, FINE_BASE_FALL
-and MIN_FINE_BASE in src/encode/allocation.rs with which the photographs of the halves for choosing lose least
+(SSIMULACRA2) between these factors are interpolated. The command then finds the values of FINE_BASE_FINENESS,
+FINE_BASE_SLOPE and MIN_FINE_BASE_FACTOR in src/constants/allocation.rs with which the photographs of the halves for choosing lose least
 against the best of what was tried (without the minimum share of large, busy photographs), and prints them beside the
 present ones, with the loss on both halves. --table writes what each picture would have had. Encodes are cached, so
 that an interrupted command can be continued. The default needs about 1200 encodes.
@@ -36,7 +36,7 @@ def arguments():
 
 def constants():
     """Returns the constants of the rule, by name."""
-    text = "".join((root / "src" / name).read_text() for name in ["encode/allocation.rs", "encode/texture.rs"])
+    text = (root / "src/constants/allocation.rs").read_text()
     found = re.findall(r"const (\w+): (?:f64|\[f64; \d\]) = \[?([\d_., ]+)\]?;", text)
     values = {name: [float(v) for v in value.replace("_", "").split(",")] for name, value in found}
     return {name: value[0] if len(value) == 1 else value for name, value in values.items()}
@@ -44,14 +44,14 @@ def constants():
 
 def usual_bytes(pixels, ratio, c):
     """Returns the bytes of the base of a picture without fine texture: `bytes_of_base` in allocation.rs."""
-    return c["REFERENCE_BASE_BYTES"] * (pixels / c["REFERENCE_PIXELS"]) ** c["BASE_POWER"] * (min(ratio, 100) / 50) ** -c["BASE_FALL"]
+    return c["REFERENCE_BASE_BYTES"] * (pixels / c["REFERENCE_PIXELS"]) ** c["BASE_SIZE_EXPONENT"] * (min(ratio, 100) / 50) ** -c["BASE_RATIO_EXPONENT"]
 
 
 def factor_of(fineness, ratio, c):
     """Returns the factor on these bytes for a photograph: `base_factor` in allocation.rs."""
     low, high = c["FINE_BASE_RATIOS"]
     strength = min(1, max(0, math.log(ratio / low) / math.log(high / low)))
-    factor = min(1, max(c["MIN_FINE_BASE"], 1 - c["FINE_BASE_FALL"] * (fineness - c["FINE_BASE"])))
+    factor = min(1, max(c["MIN_FINE_BASE_FACTOR"], 1 - c["FINE_BASE_SLOPE"] * (fineness - c["FINE_BASE_FINENESS"])))
     return 1 - strength * (1 - factor)
 
 
@@ -103,9 +103,9 @@ def main():
     present = constants()
     rows = measured(args, present)
     # Drawings have a rule of their own.
-    photographs = [row for row in rows if row["flat"] <= present["DRAWING"]]
+    photographs = [row for row in rows if row["flat"] <= present["DRAWING_FLAT_SHARE"]]
     chosen_on = [row for row in photographs if row["half"] == "choose"]
-    names = ["FINE_BASE", "FINE_BASE_FALL", "MIN_FINE_BASE"]
+    names = ["FINE_BASE_FINENESS", "FINE_BASE_SLOPE", "MIN_FINE_BASE_FACTOR"]
     grid = itertools.product([k / 20 for k in range(4, 25)], [k / 10 for k in range(1, 31)], [k / 20 for k in range(7, 20)])
     fitted = present | dict(zip(names, min(grid, key=lambda values: loss(chosen_on, present | dict(zip(names, values))))))
     lines = []

@@ -19,7 +19,7 @@ program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, in
 also prints the lead in PSNR over vvenc (medium), interpolated to its bytes from docs/kodak-modern.csv.
 
 --shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
-the results. lab/fit_division.py fits the constants of src/encode/allocation.rs.
+the results. lab/fit_division.py fits the constants of src/constants/allocation.rs.
 
 --page writes a table of each set into docs/BENCHMARKS.md and the chart docs/sets.svg: the first program beside AVIF, JPEG
 XL (effort 7) and WebP (method 6). The chart is written if all four of its sets are measured. --efforts writes the table of
@@ -41,7 +41,7 @@ def arguments():
     parser.add_argument("--sets", default=",".join(set_tables.CHART), help="kodak, cid22, graphics, clic, large or screens, separated by commas; by default all but large")
     parser.add_argument("--half", choices=["choose", "judge", "all"], default="all")
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
-    parser.add_argument("--ratios", help="by default 20,50,100,200, and those of lab/set_tables.py with --page")
+    parser.add_argument("--ratios", help="ratios, or qualities such as q70; by default 20,50,100,200, and those of lab/set_tables.py with --page")
     parser.add_argument("--options", default="", help="further options of every program's encode")
     parser.add_argument("--kind", choices=["rgb", "grey", "alpha", "16"], default="rgb", help="converts the pictures: to grey, to an oval on nothing, or to 16 bits per sample; without AVIF")
     parser.add_argument("--crop", type=int, default=0, help="encode only a square of this side in the middle of each picture")
@@ -112,7 +112,8 @@ class Lab:
 
     def ours(self, name, picture, ratio, more=()):
         program, own, variables, build = self.programs[name]
-        options = ["--ratio", str(ratio), *own, *shlex.split(self.args.options), *more]
+        target = ["--quality", ratio[1:]] if str(ratio).startswith("q") else ["--ratio", str(ratio)]
+        options = [*target, *own, *shlex.split(self.args.options), *more]
 
         def work():
             with tempfile.TemporaryDirectory() as folder:

@@ -27,8 +27,6 @@ pub(crate) struct FitSettings {
     pub dense_exponent: f32,
     /// Maximum number of sweeps, for up to 2000, 40 000 and 300 000 primitives and for more.
     pub sweeps: [u32; 4],
-    /// Whether primitives are fixed at lattice points in the last fifth of the fit.
-    pub freezes: bool,
     /// The minimum distance of sampled rows, and the fraction of the steps, at which a fit of Gaussians alone with
     /// perceptual tuning begins at half size.
     pub half: HalfSize,
@@ -185,7 +183,6 @@ impl EffortSettings {
                     [1, 1, 2, 2, 4, 5, 6, 8, 12][level],
                     [1, 1, 2, 2, 3, 4, 6, 8, 12][level],
                 ],
-                freezes: is_exhaustive,
                 // On twelve Kodak pictures with perceptual tuning at a ratio of 200, a distance of 3 takes 0.92 of the
                 // CPU time, gains 0.2 points of SSIMULACRA2 and loses 0.1 dB; at 500 and 1000 it takes 0.8 of the time
                 // and gains 0.5 and 0.3 points. At effort 2 and a ratio of 200 it would lose 0.8 points and save no

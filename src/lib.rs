@@ -220,6 +220,8 @@ mod angle;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod bitstream;
 mod budget;
+#[cfg(feature = "encode")]
+mod constants;
 mod decode;
 mod depth;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]

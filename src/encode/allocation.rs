@@ -17,114 +17,24 @@
 //! `python lab/fit_division.py PICTURES PROGRAM` encodes sets of pictures with several divisions, fits the constants of
 //! the rule for photographs to the results, and writes a table of what each picture would have had.
 
-use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use super::prepared::Prepared;
 use super::state::{EncodeState, FitRequest, KeptBase, Outcome, UnderLayer};
-use super::texture::{self, Texture};
+use super::texture::Texture;
 use crate::bitstream::splats::Layout;
+use crate::constants::allocation;
+use crate::constants::division;
+use crate::constants::fit;
 use crate::effort::{AllocationSettings, EffortSettings};
 use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
 use crate::metrics::MIN_MS_SSIM_SIDE;
 use crate::options::{Detail, EncodeOptions, Tune};
 use crate::rdo::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
-
-/// Number of pixels of the pictures from which the values below were determined. They scale with powers of the number
-/// of pixels relative to this.
-const REFERENCE_PIXELS: f64 = 393_216.0;
-/// Bytes of a base that suits most photographs. `--detail SHARE` sets other sizes.
-const REFERENCE_BASE_BYTES: f64 = 8_200.0;
-const BASE_POWER: f64 = 0.35;
-/// Exponent with which these bytes decrease as the ratio, relative to 50, grows from 20 to 100.
-const BASE_FALL: f64 = 0.37;
-/// Maximum share of the bytes for such a base.
-const MAX_BASE_SHARE: f64 = 0.7;
-/// Fineness from which on a photograph has a smaller base, by how much the factor on its bytes falls with the fineness,
-/// and the smallest factor. These and the values below were fitted to 48 pictures at ratios of 50, 100 and 200, each
-/// encoded with factors from 0.35 to 1.4 and without a layer (docs/studies/all-pictures.md).
-const FINE_BASE: f64 = 0.6;
-const FINE_BASE_FALL: f64 = 1.3;
-const MIN_FINE_BASE: f64 = 0.5;
-/// Ratios from which on that factor starts to apply, and at which it applies in full.
-const FINE_BASE_RATIOS: [f64; 2] = [25.0, 100.0];
-/// Activities at which a drawing starts to have a larger base and at which its factor is the largest, and that factor.
-/// A page of text with photographs gains 4 SSIMULACRA2 points at a ratio of 50; simple diagrams would lose up to 1.
-const BUSY_DRAWING: [f64; 2] = [texture::BUSY, 3.9];
-const MAX_DRAWING_BASE: f64 = 1.4;
-/// Shares of flat squares at which the fit of a picture under a layer starts to be longer and at which it is longest,
-/// and the largest factor on its iterations. With twice the iterations, seven diagrams and pages gain 0.5 and 0.8
-/// points at ratios of 50 and 100, and take 1.4 to 1.6 times as long.
-const PATIENT_FLAT: [f64; 2] = [texture::PARTLY_DRAWN, texture::DRAWING];
-const MAX_PATIENCE: f32 = 2.0;
-/// Factors on the iterations of the fits of other small pictures under a layer, at ratios of 10, 20, 50 and 100, at
-/// efforts 4 to 6. Between the ratios they depend on the logarithm of the ratio. At 20, 1.6 gains 0.15 points on Kodak
-/// and on CID22 and takes a quarter more time; 2 gains nothing more. At 10, 2 would gain
-/// 0.06 points on Kodak and take 1.4 times as long. At 100, 0.8 loses 0.2 and 0.0 points and saves a seventh of the
-/// time. At 2.8 megapixels, 1.6 at 20 would gain 0.05 points and 0.8 at 100 lose 0.1.
-const PATIENT_RATIOS: [f64; 4] = [10.0, 20.0, 50.0, 100.0];
-const PATIENCE_AT: [f64; 4] = [1.0, 1.6, 1.0, 0.8];
-/// Maximum ratio at which several divisions are tried for mixed pictures. At 200, MS-SSIM prefers divisions that lose
-/// SSIMULACRA2.
-const MAX_TRYING_RATIO: f64 = 120.0;
-/// Ratio above which files have no layer, unless the tuning is perceptual and the texture is known.
-const MAX_RATIO: f64 = 120.0;
-const RATIO_POWER: f64 = 0.85;
-/// Ratio and number of pixels for which the settings of the effort state the [fineness](AllocationSettings::fineness) of
-/// pictures with a layer. The ratio grows with the square of the fineness and with a power of the number of pixels.
-const FINE_RATIO: f64 = 100.0;
-const FINE_PIXELS: f64 = 262_144.0;
-const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
-/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer. At a ratio of 200, three diagrams gain 4 to 6
-/// points with a layer.
-const DRAWING_RATIO: f64 = 250.0;
-/// Ratio up to which texture does not rule out a layer.
-const ALWAYS_RATIO: f64 = 80.0;
-/// Minimum share of the bytes for the Gaussians of a large, busy picture at a ratio of 100, where the layer is coarse.
-const BUSY_SHARE: f64 = 0.5;
-/// Activities at which a picture starts to count as busy and at which it counts in full.
-const BUSY: [f64; 2] = [texture::BUSY, 4.1];
-/// Logarithm of the number of pixels, relative to [`REFERENCE_PIXELS`], at which that share applies in full.
-const BUSY_SIZE: f64 = 1.9;
-/// Minimum size of a file with a layer, bytes.
-const MIN_FILE_BYTES: u64 = 2_500;
-/// Numbers of pixels of small pictures. If their texture is known, their files may be smaller. The values for them are from
-/// crops and thumbnails of 192 to 320 pixels at 600 to 4000 bytes (docs/studies/division.md). Still smaller ones, which
-/// have no MS-SSIM, keep the usual minimum: at 1200 bytes, photographs of CID22 reduced to 96 pixels lose 1.5 points with
-/// a layer.
-const SMALL_PIXELS: RangeInclusive<u64> = 161 * 161..=1 << 17;
-/// Minimum size of a file with a layer for small pictures.
-const MIN_SMALL_FILE_BYTES: u64 = 700;
-/// Minimum size of a file for which a layer is tried, and up to which multiple of the largest ratio, for small pictures. A
-/// file without a layer takes five times as long as one with a layer, so a try takes a fifth more time.
-const MIN_TRIED_FILE_BYTES: u64 = 400;
-const TRIED_RATIO: f64 = 2.0;
-/// Maximum ratio of small pictures with a layer. Those that were measured have up to 205.
-const MAX_SMALL_RATIO: f64 = 250.0;
-/// The same for regular textures, and the share of the bytes for their Gaussians. At 600 and 1200 bytes, a weave, stripes
-/// and a checkerboard of 128 × 128 pixels gain 29 to 174 SSIMULACRA2 points over Gaussians alone.
-/// `python lab/division.py target/release/ssplat PICTURES... --sizes 600,1200` measures it.
-const MIN_REGULAR_FILE_BYTES: u64 = 200;
-const REGULAR_SHARE: f64 = 0.05;
-/// Exponent with which the maximum sharpness grows with the ratio relative to 20.
-const SHARP_POWER: f64 = 0.1;
-/// Share of the bytes for the Gaussians of a sharp picture at a ratio of 20, and the increase with each doubling of the
-/// ratio.
-const SHARP_SHARE: f64 = 0.6;
-const SHARP_MORE: f64 = 0.15;
-/// Maximum of that share.
-const MOST_SHARP: f64 = 0.9;
-/// Maximum factor by which the Gaussians of a sharp picture may exceed their byte budget.
-const MAX_OVERSHOOT: f64 = 1.1;
-/// Maximum share of the bytes for Gaussians that are tried.
-pub(super) const MAX_TRIED_SHARE: f64 = 0.82;
-/// Maximum ratio of large files, which have more rounds of descent.
-const MAX_RATIO_OF_LARGE_FILES: f64 = 30.0;
 
 /// What a file of a requested size consists of.
 pub(super) enum Allocation {
@@ -199,7 +109,8 @@ impl Division {
         let all = self.shared as f64;
         // A base that is kept from a larger file of a sharp picture can be too large for a smaller file.
         let most_for_base = most_for_base(self.ratio(state.samples())) * all;
-        let room = self.fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(MOST_SHARP * all);
+        let room = self.fixed as f64
+            + (allocation::MAX_SHARP_OVERSHOOT * most_for_base).min(allocation::MAX_SHARP_BASE_SHARE * all);
         state.kept.as_ref().and_then(|kept| kept.for_budget(self.base_budget, room))
     }
 }
@@ -252,8 +163,8 @@ pub(super) fn rounds(state: &EncodeState<'_>, shared: u64) -> u32 {
     let rounds = state.settings.layer.rounds;
     match state.options.favoured() {
         Tune::Psnr => rounds.exact[usize::from(is_search(state.options.target))],
-        _ if state.pixels() >= LARGE_PIXELS && !rounds.includes_large_pictures => 0,
-        Tune::Iq if state.samples() / shared as f64 <= MAX_RATIO_OF_LARGE_FILES => rounds.in_large_files,
+        _ if state.pixels() >= fit::LARGE_PIXELS && !rounds.includes_large_pictures => 0,
+        Tune::Iq if state.samples() / shared as f64 <= allocation::MAX_RATIO_OF_LARGE_FILES => rounds.in_large_files,
         Tune::Ssim | Tune::Iq => rounds.perceptual,
     }
 }
@@ -287,7 +198,7 @@ pub(super) fn base_budget(state: &EncodeState<'_>, texture: Option<Texture>, all
         _ => {
             let ratio = ratio_of(state.samples(), all);
             let suited = base_bytes(&state.settings.allocation, state.pixels(), texture, ratio, all);
-            (state.base_factor.unwrap_or(1.0) * suited).min(MAX_TRIED_SHARE * all)
+            (state.base_factor.unwrap_or(1.0) * suited).min(allocation::MAX_TRIED_BASE_SHARE * all)
         }
     }
 }
@@ -296,45 +207,52 @@ pub(super) fn base_budget(state: &EncodeState<'_>, texture: Option<Texture>, all
 /// depends (`fn texture`).
 fn base_bytes(settings: &AllocationSettings, pixels: u64, texture: Option<Texture>, ratio: f64, all: f64) -> f64 {
     if texture.is_some_and(Texture::is_regular) {
-        return REGULAR_SHARE * all;
+        return allocation::REGULAR_BASE_SHARE * all;
     }
     let may_be_busy = texture.filter(|_| settings.has_busy_share);
     let least = all * may_be_busy.map_or(0.0, |texture| busy_share(texture, pixels, ratio));
     let suited = texture.map_or(1.0, |texture| base_factor(texture, ratio));
-    (suited * bytes_of_base(settings, pixels, ratio, all)).min(MAX_BASE_SHARE * all).max(least)
+    (suited * bytes_of_base(settings, pixels, ratio, all)).min(allocation::MAX_BASE_SHARE * all).max(least)
 }
 
 /// Returns the share of the bytes for the Gaussians of a sharp picture.
 pub(super) fn most_for_base(ratio: f64) -> f64 {
-    (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP)
+    (allocation::SHARP_BASE_SHARE + allocation::SHARP_BASE_SHARE_PER_OCTAVE * (ratio / 20.0).strict_log2())
+        .min(allocation::MAX_SHARP_BASE_SHARE)
 }
 
 /// Returns the maximum sharpness at which a small base is best. Sharpness is the estimated fraction of the error that
 /// doubling the number of Gaussians would remove, for each decibel that doubling the bytes of the layer gains. The new
 /// Gaussians are placed where the error is largest.
 pub(super) fn max_sharpness(settings: &AllocationSettings, ratio: f64) -> f64 {
-    settings.max_sharpness * (ratio / 20.0).strict_powf(SHARP_POWER)
+    settings.max_sharpness * (ratio / 20.0).strict_powf(allocation::SHARPNESS_RATIO_EXPONENT)
 }
 
 /// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is that on which the
 /// allocation depends (`fn texture`).
 fn largest_ratio(settings: &AllocationSettings, pixels: u64, texture: Option<Texture>) -> f64 {
-    let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
+    let usual = allocation::MAX_LAYER_RATIO
+        * (pixels as f64 / allocation::REFERENCE_PIXELS).strict_powf(allocation::LAYER_RATIO_EXPONENT);
     let Some(texture) = texture else { return usual };
-    let larger = (pixels as f64 / FINE_PIXELS).strict_powf(FINE_RATIO_POWER);
-    let fine = settings.fineness[usize::from(pixels >= LARGE_PIXELS)];
-    let of_drawing = if texture.is_drawing() { DRAWING_RATIO * larger } else { 0.0 };
-    usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / fine).powi(2) * larger).max(of_drawing)
+    let larger = (pixels as f64 / allocation::FINENESS_PIXELS).strict_powf(allocation::FINENESS_RATIO_EXPONENT);
+    let fine = settings.fineness[usize::from(pixels >= fit::LARGE_PIXELS)];
+    let of_drawing = if texture.is_drawing() { allocation::MAX_DRAWING_LAYER_RATIO * larger } else { 0.0 };
+    usual
+        .min(allocation::CERTAIN_LAYER_RATIO)
+        .max(allocation::FINENESS_RATIO * (texture.fineness / fine).powi(2) * larger)
+        .max(of_drawing)
 }
 
 /// Returns whether a picture of `samples` samples gains from a layer in a file of `bytes` bytes. `largest` is the
 /// largest ratio at which the picture gains from one. `is_small` is whether it is small and its texture is known.
 fn gain_at(samples: f64, bytes: u64, largest: f64, is_small: bool) -> LayerGain {
     let ratio = samples / bytes as f64;
-    let is_certain = ratio <= largest && bytes >= if is_small { MIN_SMALL_FILE_BYTES } else { MIN_FILE_BYTES };
-    let may_try = ratio <= TRIED_RATIO * largest && bytes >= MIN_TRIED_FILE_BYTES;
+    let is_certain = ratio <= largest
+        && bytes >= if is_small { allocation::MIN_SMALL_LAYER_FILE_BYTES } else { allocation::MIN_LAYER_FILE_BYTES };
+    let may_try =
+        ratio <= allocation::MAX_TRIED_LAYER_RATIO_FACTOR * largest && bytes >= allocation::MIN_TRIED_LAYER_FILE_BYTES;
     match is_small {
-        true if ratio > MAX_SMALL_RATIO => LayerGain::None,
+        true if ratio > allocation::MAX_SMALL_LAYER_RATIO => LayerGain::None,
         _ if is_certain => LayerGain::Certain,
         true if may_try => LayerGain::Uncertain,
         _ => LayerGain::None,
@@ -343,12 +261,12 @@ fn gain_at(samples: f64, bytes: u64, largest: f64, is_small: bool) -> LayerGain 
 
 /// Returns the byte budget of the Gaussians in a file of `all` bytes.
 fn bytes_of_base(settings: &AllocationSettings, pixels: u64, ratio: f64, all: f64) -> f64 {
-    let larger = pixels as f64 / REFERENCE_PIXELS;
+    let larger = pixels as f64 / allocation::REFERENCE_PIXELS;
     (settings.base_factor
-        * REFERENCE_BASE_BYTES
-        * larger.strict_powf(BASE_POWER)
-        * (ratio.min(100.0) / 50.0).strict_powf(-BASE_FALL))
-    .min(MAX_BASE_SHARE * all)
+        * allocation::REFERENCE_BASE_BYTES
+        * larger.strict_powf(allocation::BASE_SIZE_EXPONENT)
+        * (ratio.min(100.0) / 50.0).strict_powf(-allocation::BASE_RATIO_EXPONENT))
+    .min(allocation::MAX_BASE_SHARE * all)
 }
 
 /// Returns 0 up to `from`, 1 from `to` on, and values in proportion between them.
@@ -360,11 +278,14 @@ fn ramp(value: f64, [from, to]: [f64; 2]) -> f64 {
 /// texture poorly.
 fn base_factor(texture: Texture, ratio: f64) -> f64 {
     if texture.is_drawing() {
-        return 1.0 + (MAX_DRAWING_BASE - 1.0) * ramp(texture.activity, BUSY_DRAWING);
+        return 1.0
+            + (allocation::MAX_DRAWING_BASE_FACTOR - 1.0)
+                * ramp(texture.activity, allocation::DRAWING_BASE_ACTIVITIES);
     }
-    let [from, to] = FINE_BASE_RATIOS;
+    let [from, to] = allocation::FINE_BASE_RATIOS;
     let strength = ((ratio / from).strict_ln() / (to / from).strict_ln()).clamp(0.0, 1.0);
-    let factor = (1.0 - FINE_BASE_FALL * (texture.fineness - FINE_BASE)).clamp(MIN_FINE_BASE, 1.0);
+    let factor = (1.0 - allocation::FINE_BASE_SLOPE * (texture.fineness - allocation::FINE_BASE_FINENESS))
+        .clamp(allocation::MIN_FINE_BASE_FACTOR, 1.0);
     1.0 - strength * (1.0 - factor)
 }
 
@@ -375,28 +296,29 @@ pub(super) fn patience(
     texture: Option<Texture>,
     ratio: Option<f64>,
 ) -> f32 {
-    let of_drawing = ramp(texture.map_or(0.0, |texture| texture.flat), PATIENT_FLAT) as f32;
+    let of_drawing = ramp(texture.map_or(0.0, |texture| texture.flat), allocation::LONG_FIT_FLAT_SHARES) as f32;
     if of_drawing > 0.0 && settings.is_patient_with_drawings {
-        return 1.0 + (MAX_PATIENCE - 1.0) * of_drawing;
+        return 1.0 + (allocation::MAX_LONG_FIT_FACTOR - 1.0) * of_drawing;
     }
-    let Some(ratio) = ratio.filter(|_| settings.is_patient_by_ratio && pixels < LARGE_PIXELS) else { return 1.0 };
-    let changes = (1..PATIENCE_AT.len()).map(|i| {
-        let ratios = [PATIENT_RATIOS[i - 1], PATIENT_RATIOS[i]].map(f64::strict_ln);
-        (PATIENCE_AT[i] - PATIENCE_AT[i - 1]) * ramp(ratio.strict_ln(), ratios)
+    let Some(ratio) = ratio.filter(|_| settings.is_patient_by_ratio && pixels < fit::LARGE_PIXELS) else { return 1.0 };
+    let changes = (1..allocation::FIT_FACTORS.len()).map(|i| {
+        let ratios = [allocation::FIT_FACTOR_RATIOS[i - 1], allocation::FIT_FACTOR_RATIOS[i]].map(f64::strict_ln);
+        (allocation::FIT_FACTORS[i] - allocation::FIT_FACTORS[i - 1]) * ramp(ratio.strict_ln(), ratios)
     });
-    (PATIENCE_AT[0] + changes.sum::<f64>()) as f32
+    (allocation::FIT_FACTORS[0] + changes.sum::<f64>()) as f32
 }
 
 /// Returns whether only several encodes tell how many Gaussians a picture needs.
 pub(super) fn is_uncertain(settings: &AllocationSettings, texture: Option<Texture>, ratio: f64) -> bool {
-    settings.tries_divisions && ratio <= MAX_TRYING_RATIO && texture.is_some_and(Texture::is_mixed)
+    settings.tries_divisions && ratio <= division::MAX_TRIED_RATIO && texture.is_some_and(Texture::is_mixed)
 }
 
 /// Returns the minimum share of the bytes for the Gaussians of a picture with this texture, size and ratio.
 fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
-    let busy = ramp(texture.activity, BUSY);
-    let large = ((pixels as f64 / REFERENCE_PIXELS).strict_ln() / BUSY_SIZE).clamp(0.0, 1.0);
-    BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
+    let busy = ramp(texture.activity, allocation::BUSY_SHARE_ACTIVITIES);
+    let large =
+        ((pixels as f64 / allocation::REFERENCE_PIXELS).strict_ln() / allocation::BUSY_SHARE_LOG_SIZE).clamp(0.0, 1.0);
+    allocation::BUSY_BASE_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }
 
 /// Returns whether a file with these options may have a detail layer. Only the coded layout has one, and other methods
@@ -437,10 +359,10 @@ fn layer_gain(
         Detail::Auto => {
             let texture = self::texture(options, texture);
             if texture.is_some_and(Texture::is_regular) {
-                return certain(shared >= MIN_REGULAR_FILE_BYTES);
+                return certain(shared >= allocation::MIN_REGULAR_LAYER_FILE_BYTES);
             }
             let settings = EffortSettings::from_preset(options.effort).allocation;
-            let is_small = texture.is_some() && SMALL_PIXELS.contains(&pixels);
+            let is_small = texture.is_some() && allocation::SMALL_PIXELS.contains(&pixels);
             gain_at(samples, shared, largest_ratio(&settings, pixels, texture), is_small)
         }
         Detail::Off => LayerGain::None,
@@ -475,7 +397,7 @@ mod tests {
         // At effort 2, large pictures need finer texture for one.
         let largest = |effort, pixels| largest_ratio(&of(effort), pixels, coarse);
         assert_eq!(largest(2, PIXELS_OF_512), largest(3, PIXELS_OF_512));
-        assert!(largest(2, LARGE_PIXELS) < 0.5 * largest(3, LARGE_PIXELS));
+        assert!(largest(2, fit::LARGE_PIXELS) < 0.5 * largest(3, fit::LARGE_PIXELS));
         // Files below the minimum size have no layer, whatever the picture.
         assert!(!has(texture(9.0, 4.0), 400));
         // Larger pictures gain from a layer at larger ratios.
@@ -488,7 +410,7 @@ mod tests {
             let regular = texture(fineness, 5.0);
             let has = |bytes| has_layer(&EncodeOptions::default(), 128 * 128, 49_152.0, bytes, || regular);
             assert_eq!([100, 600, 2400, 24_000].map(has), [false, true, true, true]);
-            assert_eq!(base_bytes(&of(5), 128 * 128, regular, 80.0, 600.0), 600.0 * REGULAR_SHARE);
+            assert_eq!(base_bytes(&of(5), 128 * 128, regular, 80.0, 600.0), 600.0 * allocation::REGULAR_BASE_SHARE);
         }
         let has = |bytes| has_layer(&EncodeOptions::default(), 128 * 128, 49_152.0, bytes, || texture(1.2, 5.0));
         assert_eq!([600, 2400].map(has), [false; 2]);
@@ -533,20 +455,23 @@ mod tests {
             assert!((found - wanted).abs() < 1e-3, "{found} instead of {wanted}");
         }
         assert_eq!([3, 7].map(|effort| steps(effort, 20.0)), [1.0; 2]);
-        assert_eq!([20.0, 200.0].map(|ratio| patience(&of(5), LARGE_PIXELS, photograph, Some(ratio))), [1.0; 2]);
+        assert_eq!([20.0, 200.0].map(|ratio| patience(&of(5), fit::LARGE_PIXELS, photograph, Some(ratio))), [1.0; 2]);
         assert_eq!(patience(&of(5), PIXELS_OF_512, photograph, None), 1.0);
         let drawing = photograph.map(|texture| Texture { flat: 0.4, ..texture });
-        assert_eq!([20.0, 200.0].map(|ratio| patience(&of(5), PIXELS_OF_512, drawing, Some(ratio))), [MAX_PATIENCE; 2]);
+        assert_eq!(
+            [20.0, 200.0].map(|ratio| patience(&of(5), PIXELS_OF_512, drawing, Some(ratio))),
+            [allocation::MAX_LONG_FIT_FACTOR; 2]
+        );
     }
 
     #[test]
     fn gaussians_get_a_larger_share_of_small_files_of_large_busy_pictures() {
         let share = |activity, pixels, ratio| busy_share(texture(0.5, activity).unwrap(), pixels, ratio);
-        let large = 7 * REFERENCE_PIXELS as u64;
-        assert_eq!(share(5.0, large, 100.0), BUSY_SHARE);
-        assert_eq!(share(5.0, large, 50.0), BUSY_SHARE / 2.0);
-        assert_eq!([share(2.0, large, 100.0), share(5.0, REFERENCE_PIXELS as u64, 100.0)], [0.0; 2]);
+        let large = 7 * allocation::REFERENCE_PIXELS as u64;
+        assert_eq!(share(5.0, large, 100.0), allocation::BUSY_BASE_SHARE);
+        assert_eq!(share(5.0, large, 50.0), allocation::BUSY_BASE_SHARE / 2.0);
+        assert_eq!([share(2.0, large, 100.0), share(5.0, allocation::REFERENCE_PIXELS as u64, 100.0)], [0.0; 2]);
         let half = share(3.5, large, 200.0);
-        assert!((half - BUSY_SHARE / 2.0).abs() < 1e-9, "{half}");
+        assert!((half - allocation::BUSY_BASE_SHARE / 2.0).abs() < 1e-9, "{half}");
     }
 }

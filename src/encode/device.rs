@@ -19,6 +19,7 @@ use crate::options::{Backend, EncodeOptions};
 use crate::parameter::Parameter;
 use crate::pixels::{Depth, Pixels};
 
+use crate::constants::encode;
 #[cfg(feature = "gpu")]
 use crate::fit::engine::Engine;
 #[cfg(feature = "gpu")]
@@ -26,10 +27,6 @@ use crate::gpu::{Adapters, Device, Fitter};
 /// Builds without the feature `gpu` have no such device.
 #[cfg(not(feature = "gpu"))]
 type Device = std::convert::Infallible;
-
-/// Minimum number of pixels that [`Backend::Auto`] fits on a GPU. For smaller pictures, starting a GPU would take too
-/// much of the time.
-const MIN_GPU_PIXELS: u64 = 1 << 18;
 
 /// The device that fitted a picture.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,7 +75,7 @@ impl Choice {
     /// [`Error::Gpu`] if the GPU is requested and not available. The automatic choice falls back to the CPU.
     pub(super) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
-        if options.backend == Backend::Auto && area >= MIN_GPU_PIXELS && is_constant(pixels) {
+        if options.backend == Backend::Auto && area >= encode::MIN_GPU_PIXELS && is_constant(pixels) {
             return Ok(Choice::of((None, Chosen::cpu("the picture has a single colour")), options.backend));
         }
         Choice::for_area(options, area)
@@ -103,8 +100,8 @@ impl Choice {
     fn for_area(options: &EncodeOptions, area: u64) -> Result<Self> {
         let opened = match options.backend {
             Backend::Cpu => Ok((None, Chosen::cpu("requested"))),
-            Backend::Auto if area < MIN_GPU_PIXELS => {
-                Ok((None, Chosen::cpu(format!("the picture has fewer than {MIN_GPU_PIXELS} pixels"))))
+            Backend::Auto if area < encode::MIN_GPU_PIXELS => {
+                Ok((None, Chosen::cpu(format!("the picture has fewer than {} pixels", encode::MIN_GPU_PIXELS))))
             }
             asked => open(asked, options),
         };

@@ -6,6 +6,8 @@ use super::skipped::SkipReason;
 use super::state::{EncodeState, FitRequest, UnderLayer};
 use super::whole::WholePicture;
 use crate::bitstream::{self, splats::PackedSplats};
+use crate::constants::fit;
+use crate::constants::rate_control;
 use crate::error::Result;
 use crate::fit::Fitted;
 use crate::fit::engine::{Ending, Snapshot, Watcher};
@@ -22,11 +24,6 @@ use crate::rdo::rounded::Rounded;
 use crate::rdo::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
-
-/// Minimum number of steps of a fit that is reweighted. For a fit of about 60 steps at 14 megapixels, the measurements
-/// add half of the work again. They gain 0.05 dB and one point of SSIMULACRA2. Large pictures are therefore not
-/// reweighted.
-const MIN_REWEIGHED_STEPS: u32 = 150;
 
 /// Gaussians that were fitted to a whole picture, and the plan of their fit.
 pub(super) struct FittedWhole {
@@ -93,8 +90,9 @@ fn plan(picture: &WholePicture<'_>, count: usize, request: &FitRequest) -> Plan 
     if options.needs == Needs::Measured {
         plan.enough = sufficient_error(options.target, input.pixels.depth());
     }
-    let is_worth_it =
-        plan.iterations >= MIN_REWEIGHED_STEPS && !input.scene(planes.mean).is_large() && !planes.amplitude.is_empty();
+    let is_worth_it = plan.iterations >= fit::MIN_REWEIGHED_STEPS
+        && !input.scene(planes.mean).is_large()
+        && !planes.amplitude.is_empty();
     plan.reweighs = is_worth_it && options.favoured() == Tune::Iq && options.recipe.is_own();
     plan
 }
@@ -120,10 +118,8 @@ fn weigh(picture: &mut WholePicture<'_>, count: usize) {
 /// Returns the mean squared error per sample at which further iterations gain nothing. That is the error of rounding to
 /// code values or, if it is larger, the error of the target PSNR with a margin for quantization.
 pub(super) fn sufficient_error(target: Target, depth: Depth) -> f64 {
-    // Maximum observed loss by quantization before descent recovers some of it, decibels.
-    const LOSS: f64 = 3.0;
     match target {
-        Target::Psnr(p) => depth.rounding_error().max(10f64.strict_powf(-0.1 * (p + LOSS))),
+        Target::Psnr(p) => depth.rounding_error().max(10f64.strict_powf(-0.1 * (p + rate_control::QUANTIZATION_LOSS))),
         _ => depth.rounding_error(),
     }
 }

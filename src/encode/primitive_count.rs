@@ -2,15 +2,12 @@
 
 use super::input::too_small_with;
 use crate::bitstream::splats::Layout;
+use crate::constants::rate_control;
 use crate::error::Result;
 use crate::options::EncodeOptions;
 
 /// Maximum number of primitives that an encode fits.
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
-/// Estimated bits per primitive in the coded layout, before any primitive is coded.
-pub(super) const CODED_BITS: f64 = 34.5;
-/// Minimum assumed cost of a primitive, bytes. Without it, a few similar primitives would suggest that any number fits.
-const MIN_PRICE: f64 = 0.5;
 
 /// Returns the initial number of primitives for a file of `most` bytes. `fixed` is the size of the file without
 /// primitives, in bytes.
@@ -24,8 +21,8 @@ pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples:
     // These bits per primitive are estimates. The size is corrected while the integers are rounded.
     let bits = match options.layout {
         Layout::Packed => 56.0,
-        Layout::Planes => 46.0,
-        Layout::Coded => CODED_BITS,
+        Layout::Planes => rate_control::PLANES_BITS,
+        Layout::Coded => rate_control::CODED_BITS,
     };
     let count = ((most - fixed) as f64 * 8.0 / bits) as u64;
     // More primitives than samples bring no gain.
@@ -34,7 +31,7 @@ pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples:
 
 /// Returns the average number of bytes of `count` primitives that take `bytes` bytes.
 pub(super) fn bytes_per_primitive(bytes: f64, count: usize) -> f64 {
-    (bytes / count.max(1) as f64).max(MIN_PRICE)
+    (bytes / count.max(1) as f64).max(rate_control::MIN_PRIMITIVE_BYTES)
 }
 
 /// Returns how many primitives of `each` bytes fit into a file of `max_bytes` bytes, of which `fixed` are not
@@ -46,8 +43,8 @@ pub(super) fn count_in(max_bytes: u64, fixed: f64, each: f64, count: usize) -> u
 /// Returns the over-allocation factor of a fit of this many primitives. Descent makes the primitives cheaper, and
 /// pruning removes the remaining excess.
 pub(super) fn excess(primitives: usize) -> f64 {
-    // On twelve Kodak pictures, 1.05 gains 0.02 to 0.07 dB over 1.008 at ratios from 50 to 1000. With 15 000 primitives
-    // at a ratio of 20, it gained nothing and lost 0.0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example
-    // rate_distortion -- PICTURES` measures it.
-    if primitives < 10_000 { 1.05 } else { 1.008 }
+    match primitives < rate_control::FEW_PRIMITIVES {
+        true => rate_control::EXCESS_OF_FEW,
+        false => rate_control::EXCESS_OF_MANY,
+    }
 }

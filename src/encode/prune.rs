@@ -7,6 +7,7 @@ use super::input::stored_scene;
 use super::state::Outcome;
 use super::whole::WholePicture;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::constants::encode;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::objective::rows::RowSet;
@@ -33,15 +34,6 @@ pub(super) fn prune(picture: &mut WholePicture<'_>, outcome: &mut Outcome, max_e
     Ok(())
 }
 
-/// Maximum number of pictures that are rendered, times the primitives that cover a pixel of them in the mean. For
-/// photographs it is never reached. A gradient has many wide primitives, each of which takes long to render.
-const MAX_RENDERED: f32 = 3000.0;
-/// Number of pictures that may always be rendered.
-const MIN_RENDERED: usize = 24;
-
-/// Up to this number, each primitive is also tried individually, because the predicted costs of removal are not exact.
-const MAX_SINGLY_TRIED: usize = 64;
-
 /// Returns `splats` with the fewest primitives found that keep the squared error within `max_error`. The search ends
 /// early when `is_over` returns true. Returns `None` if all primitives are needed.
 fn pruned(
@@ -50,20 +42,19 @@ fn pruned(
     max_error: f64,
     is_over: &dyn Fn() -> bool,
 ) -> Option<PackedSplats> {
-    // Each round removes primitives that are not needed. A sweep over the rest makes room for the next round.
-    const MAX_ROUNDS: usize = 6;
     if !splats.levels.is_empty() {
         return None;
     }
     let quantizer = splats.quantizer();
     let floats: Vec<_> = splats.gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
     let overlap = overlap(&problem.scene, &floats).max(1.0);
-    let (rendered, most) = (Cell::new(0), MIN_RENDERED.max((MAX_RENDERED / overlap) as usize));
+    let (rendered, most) =
+        (Cell::new(0), encode::MIN_PRUNING_RENDERS.max((encode::MAX_PRUNING_RENDERS / overlap) as usize));
     let is_over = || is_over() || rendered.get() >= most;
     let project = |gaussians: &[PackedGaussian]| projected(&quantizer, gaussians, problem.scene.height);
     let mut field = Field::default();
     let mut best = splats.gaussians.clone();
-    for _ in 0..MAX_ROUNDS {
+    for _ in 0..encode::MAX_PRUNING_ROUNDS {
         if is_over() {
             break;
         }
@@ -100,11 +91,11 @@ fn pruned(
         }
         best = without(sure);
         // The remaining gain would not be worth another round.
-        if sure * 50 < best.len() {
+        if sure * encode::MIN_PRUNED_PART < best.len() {
             break;
         }
     }
-    if best.len() <= MAX_SINGLY_TRIED && !is_over() {
+    if best.len() <= encode::MAX_SINGLY_PRUNED && !is_over() {
         let mut error =
             |gaussians: &[PackedGaussian]| field.draw(problem, &project(gaussians), RowSet::ALL, Output::Picture);
         let mut i = if error(&best) <= max_error { 0 } else { best.len() };

@@ -1,28 +1,10 @@
 //! The SSIMULACRA2 scores of a typical picture at each size of its file.
 
-/// Margin above the requested score that tries aim at, points. Trimming can lower the score without another fit, but
-/// cannot raise it.
-pub(super) const AIM_ABOVE: f64 = 0.25;
-
-/// Scores that are assumed for a picture until its own are known: halvings of the raw bytes, and points. The values
-/// were measured on Kodak; from a ratio of 20 on, they are means of twelve pictures. Pictures differ mostly by a shift
-/// along the first axis. `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures the curve.
-const TYPICAL_CURVE: [[f64; 2]; 10] = [
-    [0.5, 100.0],
-    [1.5, 97.0],
-    [2.3, 94.5],
-    [3.0, 90.5],
-    [3.9, 82.0],
-    [4.32, 76.1],
-    [5.64, 56.1],
-    [6.64, 36.7],
-    [7.64, 12.7],
-    [8.97, -23.9],
-];
+use crate::constants::quality;
 
 /// Returns the number of halvings at which the typical curve has this score.
 pub(super) fn halvings(points: f64) -> f64 {
-    at_points(&TYPICAL_CURVE, points)
+    at_points(&quality::TYPICAL_SCORES, points)
 }
 
 /// Returns where a curve of falling points has this many: linear between its knots and beyond them.
@@ -38,8 +20,8 @@ mod tests {
 
     #[test]
     fn the_typical_curve_decreases_and_passes_through_its_knots() {
-        assert!(TYPICAL_CURVE.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
-        for [at, points] in TYPICAL_CURVE {
+        assert!(quality::TYPICAL_SCORES.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
+        for [at, points] in quality::TYPICAL_SCORES {
             assert!((halvings(points) - at).abs() < 1e-9, "{points}");
         }
         let all: Vec<f64> = (0..=100).map(|q| halvings(f64::from(q))).collect();

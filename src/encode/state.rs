@@ -8,6 +8,7 @@ use super::device::Choice;
 use super::input::{too_small_with, widened_file};
 use super::report::ReportBuilder;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::allocation;
 use crate::effort::EffortSettings;
 use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
@@ -117,13 +118,10 @@ pub(super) struct KeptBase {
 impl KeptBase {
     /// Returns a copy of the base if it is as good as one of `budget` bytes and takes at most `max_bytes`.
     pub(super) fn for_budget(&self, budget: f64, max_bytes: f64) -> Option<Outcome> {
-        let is_near = (budget / self.base_budget).strict_ln().abs() < MIN_BASE_GROWTH.strict_ln();
+        let is_near = (budget / self.base_budget).strict_ln().abs() < allocation::MIN_BASE_GROWTH.strict_ln();
         (is_near && self.base.bytes.len() as f64 <= max_bytes).then(|| self.base.clone())
     }
 }
-
-/// Minimum factor by which a base must grow to justify another fit.
-pub(super) const MIN_BASE_GROWTH: f64 = 1.5;
 
 /// One fit of Gaussians to the whole picture.
 #[derive(Debug, Clone)]

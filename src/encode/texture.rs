@@ -1,29 +1,13 @@
 //! Measures the texture of a picture. The result determines, before any fit, how the bytes of a file are divided
 //! between the Gaussians and the layer.
 
+use crate::constants::allocation;
 use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
 /// Side of the measured squares, pixels.
 const SQUARE: usize = 8;
-/// Variance of luma that is negligible, code values². It is added to the variance before the logarithm.
-const FLOOR: f64 = 4.0;
-/// Variance of luma below which a square has one colour, code values². It allows for rounding errors.
-const FLAT: f64 = 0.001;
-/// Share of one-colour squares above which a picture is a drawing. Of 50 pictures, 8 diagrams, pages and screenshots
-/// have 0.34 to 0.86, one cut-out on white has 0.67, and all other photographs have at most 0.12. A page with
-/// photographs has 0.27. Coded as a drawing, it loses 1.9 SSIMULACRA2 points at a ratio of 50.
-pub(super) const DRAWING: f64 = 0.3;
-
-/// Share of one-colour squares above which a picture is partly a drawing, such as a page with photographs.
-pub(super) const PARTLY_DRAWN: f64 = 0.1;
-/// Activity above which a picture is busy: more than a simple diagram.
-pub(super) const BUSY: f64 = 2.9;
-
-/// Fineness from which on a picture is a regular texture, such as a weave, a halftone or a checkerboard. Such textures
-/// have 15 or more, white noise has 4, and photographs of Kodak and CID22 have at most 1.2, as thumbnails too.
-const REGULAR: f64 = 8.0;
 
 /// Fineness and strength of the texture of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,17 +49,17 @@ impl Texture {
     /// Returns whether the picture contains both flat regions and much detail, like a page of text with photographs or
     /// a screenshot. Its texture does not tell how many Gaussians it needs.
     pub(super) fn is_mixed(self) -> bool {
-        self.flat > PARTLY_DRAWN && self.activity > BUSY
+        self.flat > allocation::MIXED_FLAT_SHARE && self.activity > allocation::BUSY_ACTIVITY
     }
 
     /// Returns whether the picture is a regular texture.
     pub(super) fn is_regular(self) -> bool {
-        self.fineness >= REGULAR
+        self.fineness >= allocation::REGULAR_FINENESS
     }
 
     /// Returns whether the picture is a diagram, a page or a screenshot rather than a photograph.
     pub(super) fn is_drawing(&self) -> bool {
-        self.flat > DRAWING
+        self.flat > allocation::DRAWING_FLAT_SHARE
     }
 }
 
@@ -119,8 +103,8 @@ fn measured(square: impl Fn(usize, usize) -> f32) -> [f64; 4] {
     let mean = sums[0] / pixels;
     let lost = |from: f32, to: f32| f64::from((from - to).max(0.0));
     let variance = lost(whole, mean * mean);
-    let flat = f64::from(u8::from(variance < FLAT));
-    [lost(whole, half), lost(half, quarter), (variance + FLOOR).strict_ln(), flat]
+    let flat = f64::from(u8::from(variance < allocation::MAX_FLAT_VARIANCE));
+    [lost(whole, half), lost(half, quarter), (variance + allocation::TEXTURE_VARIANCE_FLOOR).strict_ln(), flat]
 }
 
 /// Converts red, green and blue to luma, orange chroma and green chroma. The additions of spec §11.5 apply the inverse.

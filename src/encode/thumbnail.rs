@@ -8,6 +8,7 @@ use super::report::ReportBuilder;
 use super::state::Outcome;
 use super::{Encoded, Progress};
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::encode;
 use crate::error::{Error, Result};
 use crate::options::{Backend, Detail, EncodeOptions, Thumbnail};
 use crate::parameter::Parameter;
@@ -20,23 +21,8 @@ use crate::target::Target;
 pub(super) type EncodeWhole =
     fn(&Pixels, &EncodeOptions, f32, &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Encoded>;
 
-/// Longest side of a thumbnail, pixels.
-const MAX_SIDE: u32 = 256;
-/// Minimum size of a file that carries a thumbnail by default, bytes.
-const MIN_FILE_BYTES: u64 = 100_000;
-/// Size of the file relative to that of a default thumbnail.
-const FILE_PART: u64 = 100;
-/// Maximum size of a default thumbnail, bytes. More bytes hardly improve it.
-const MAX_BYTES: u64 = 4000;
 /// Maximum overhead of a section, bytes: the number of sections, name, length and checksum.
 const HEADER_BYTES: u64 = 1 + 4 + 5 + 4;
-/// Maximum effort of a thumbnail. It takes little work compared with a large picture.
-const EFFORT: u8 = 3;
-/// Factor on the iterations of the fit of a thumbnail. With twice the iterations, the thumbnails of three photographs of
-/// 2.8 megapixels would gain 0.08 dB, and the encodes would take a sixteenth more time.
-const ITERATIONS: f32 = 0.3;
-/// Time budget of the encode relative to that of the thumbnail.
-const TIME: u32 = 20;
 
 /// Returns the maximum size in bytes of the thumbnail of a picture of `size` pixels in a file of `bytes`. Returns 0 if
 /// the file has no thumbnail.
@@ -44,8 +30,12 @@ fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     match options.thumbnail {
         Thumbnail::Never => 0,
         Thumbnail::Bytes(max_bytes) => max_bytes.into(),
-        Thumbnail::Auto if bytes < MIN_FILE_BYTES || size[0].max(size[1]) <= MAX_SIDE => 0,
-        Thumbnail::Auto => (bytes / FILE_PART).min(MAX_BYTES),
+        Thumbnail::Auto
+            if bytes < encode::MIN_FILE_BYTES_WITH_THUMBNAIL || size[0].max(size[1]) <= encode::MAX_THUMBNAIL_SIDE =>
+        {
+            0
+        }
+        Thumbnail::Auto => (bytes / encode::FILE_PER_THUMBNAIL).min(encode::MAX_THUMBNAIL_BYTES),
     }
 }
 
@@ -83,11 +73,11 @@ fn of(
     on_progress: &mut dyn FnMut(f32) -> ControlFlow<()>,
 ) -> Result<Vec<u8>> {
     let whole = View::of_size(splats.width, splats.height);
-    let small = drawn(splats, &whole.fitted([MAX_SIDE; 2])?, splats.depth)?;
+    let small = drawn(splats, &whole.fitted([encode::MAX_THUMBNAIL_SIDE; 2])?, splats.depth)?;
     let options = EncodeOptions {
         target: Target::Bytes(max_bytes),
-        effort: options.effort.min(EFFORT),
-        time: options.time.map(|t| t / TIME),
+        effort: options.effort.min(encode::MAX_THUMBNAIL_EFFORT),
+        time: options.time.map(|t| t / encode::TIME_PER_THUMBNAIL),
         seed: options.seed,
         tune: options.tune,
         backend: Backend::Cpu,
@@ -97,7 +87,7 @@ fn of(
         detail: Detail::Off,
         ..EncodeOptions::default()
     };
-    let made = encode(&small, &options, ITERATIONS, &mut |p| on_progress(p.done));
+    let made = encode(&small, &options, encode::THUMBNAIL_ITERATIONS, &mut |p| on_progress(p.done));
     let Encoded { bytes, .. } = made.map_err(|e| match e {
         Error::TooSmall { .. } => Error::Parameter { parameter: Parameter::Thumbnail, problem: e.to_string() },
         e => e,
@@ -112,7 +102,7 @@ pub(super) fn reserve_thumbnail(prepared: &mut Prepared<'_>, size: Size) -> (Siz
     let room = room_in(prepared, max_bytes);
     if room > 0 {
         let time = prepared.state().options.time.unwrap_or_default();
-        prepared.state_mut().clock.keep(time / TIME);
+        prepared.state_mut().clock.keep(time / encode::TIME_PER_THUMBNAIL);
     }
     (without_thumbnail(size, room), room)
 }

@@ -1,11 +1,15 @@
 //! Removes primitives from a file whose score is above the requested one.
+//!
+//! It saves time: six pictures of 128 pixels at a quality of 50 and effort 3 take a third less than with a search that goes
+//! on until the score is close, whose files are 2 % smaller. `python lab/constants.py quality::MAX_TRIMMED_POINTS 0.5
+//! --pictures PICTURES --ratio q50 --effort 3` measures such a search.
 
 use super::file;
 use super::input::stored_scene;
-use super::score_curve::AIM_ABOVE;
 use super::state::Outcome;
 use super::whole::WholePicture;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::quality;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::objective::rows::RowSet;
@@ -44,7 +48,7 @@ pub(super) fn trim(picture: &mut WholePicture<'_>, outcome: &mut Outcome, wanted
         let found = picture.score(&without(&order[..count]))?;
         if found >= wanted {
             (sure, points) = (count, Some(found));
-            if found - wanted < AIM_ABOVE {
+            if found - wanted < quality::AIM_ABOVE {
                 break;
             }
         } else {
@@ -56,7 +60,7 @@ pub(super) fn trim(picture: &mut WholePicture<'_>, outcome: &mut Outcome, wanted
     // individually.
     let mut out = order[..sure].to_vec();
     for &i in order[sure..].iter().take(MAX_SINGLY_REMOVED) {
-        if points.is_none_or(|p| p - wanted < AIM_ABOVE) || picture.state.clock.is_over() {
+        if points.is_none_or(|p| p - wanted < quality::AIM_ABOVE) || picture.state.clock.is_over() {
             break;
         }
         out.push(i);

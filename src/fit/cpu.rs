@@ -1,5 +1,6 @@
 //! The fitting engine on the CPU.
 
+use crate::constants::fit;
 use crate::error::Result;
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{AdamMoments, Bounds, Rates};
@@ -9,7 +10,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::{Scratch, at_peak};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::state::{CLEARLY_WORSE, State};
+use crate::fit::state::State;
 
 impl Engine for State {
     const REMEMBERS_WHOLE_STEPS: bool = true;
@@ -101,7 +102,7 @@ impl Engine for State {
     /// sampling.
     fn keep_best(&mut self) -> Result<()> {
         if let Some((error, primitives)) = self.best.take()
-            && self.latest > CLEARLY_WORSE * error
+            && self.latest > fit::CLEARLY_WORSE * error
         {
             let frozen = std::mem::take(&mut self.frozen);
             let (price, is_priced) = (self.price, self.is_priced);

@@ -10,6 +10,7 @@ use std::rc::Rc;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
+use crate::constants::fit;
 use crate::error::Result;
 use crate::fit::engine::{Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
@@ -23,23 +24,6 @@ use crate::fit::plan::Plan;
 use crate::fit::schedule::{self, Part};
 use crate::fit::state::State;
 use crate::strict_math::StrictMath;
-
-/// Number of primitives from which on the small ones need all pixels: 260 primitives lose 0.1 dB with a copy of half
-/// the size.
-const MAX_MULTI_START: usize = 120;
-/// Minimum scale of a typical Gaussian in the copy, pixels.
-const MIN_TYPICAL_SCALE: f32 = 6.0;
-/// Minimum length of the copy's shorter side, pixels.
-const MIN_SIDE: u32 = 16;
-/// Fraction of the iterations that use the copy.
-const START_SHARE: f32 = 0.7;
-/// Number of fits with different seeds from which the best is chosen.
-const STARTS: u16 = 4;
-
-/// Fraction of the iterations that are skipped if a fit continues one of fewer primitives. On Kodak at a ratio of 50,
-/// where half of the pictures are fitted again, it is 0.03 dB better than fitting from the start. With 0.5, these
-/// pictures lose 0.1 dB, because new primitives are added too late.
-const INITIAL_SHARE: f32 = 0.3;
 
 /// The starting state of a fit.
 pub(crate) struct Start {
@@ -64,8 +48,8 @@ pub(crate) fn random(plan: &Plan) -> Pcg64Mcg {
 
 /// Returns how often the picture is halved for `count` primitives.
 fn halvings(scene: &Scene, count: usize) -> u32 {
-    let by_scale = (scene.typical_scale(count) / MIN_TYPICAL_SCALE).max(1.0).strict_log2() as u32;
-    let by_side = (scene.width.min(scene.height) / MIN_SIDE).max(1).ilog2();
+    let by_scale = (scene.typical_scale(count) / fit::MIN_START_SCALE).max(1.0).strict_log2() as u32;
+    let by_side = (scene.width.min(scene.height) / fit::MIN_START_SIDE).max(1).ilog2();
     by_scale.min(by_side)
 }
 
@@ -80,18 +64,18 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     }
     if !plan.initial.is_empty() {
         let bounds = Bounds::new(problem.target.width, problem.target.height);
-        let from = (plan.iterations as f32 * INITIAL_SHARE) as u32;
+        let from = (plan.iterations as f32 * fit::SKIPPED_SHARE) as u32;
         return Ok(Start { state: State::new(plan.initial.clone(), bounds), rng: random(plan), from });
     }
     let halvings = halvings(&problem.scene, count);
     // With a time budget, a single fit makes better use of the time.
-    if !(1..MAX_MULTI_START).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
+    if !(1..fit::MAX_MULTI_START_COUNT).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
         return Ok(scattered(problem.target, count, plan));
     }
     let reduced = Rc::new(Reduced::new(&problem, halvings));
-    let end = (plan.iterations as f32 * START_SHARE) as u32;
+    let end = (plan.iterations as f32 * fit::START_SHARE) as u32;
     let mut best: Option<(f64, Start)> = None;
-    for i in 0..STARTS {
+    for i in 0..fit::STARTS {
         // The error of a small copy says little about that of the picture, so no start ends early.
         let plan = Plan { seed: plan.seed.wrapping_add(i.into()), enough: 0.0, ..plan.clone() };
         // Only the first start corrects the number of primitives.
@@ -118,7 +102,7 @@ struct StartWatcher<'a> {
 
 impl Watcher for StartWatcher<'_> {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
-        self.watcher.step((self.index as f32 * START_SHARE + done) / STARTS as f32, now)
+        self.watcher.step((self.index as f32 * fit::START_SHARE + done) / fit::STARTS as f32, now)
     }
 
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
@@ -164,7 +148,9 @@ mod tests {
     #[test]
     fn no_small_copy_is_used_where_it_would_lose_quality() {
         // Too many primitives, too thin a picture, too small Gaussians, no primitives.
-        for (width, height, count) in [(240, 160, MAX_MULTI_START), (1000, 31, 10), (40, 40, 10), (240, 160, 0)] {
+        for (width, height, count) in
+            [(240, 160, fit::MAX_MULTI_START_COUNT), (1000, 31, 10), (40, 40, 10), (240, 160, 0)]
+        {
             let (scene, target) = picture(width, height);
             assert_eq!(started(Problem { scene, target: &target }, count).1, 0, "{count} on {width} × {height}");
         }

@@ -2,52 +2,19 @@
 
 use std::time::Duration;
 
+use crate::constants::fit;
 use crate::effort::{BaseFitSettings, FitSettings, HalfSize, Reduction};
 use crate::fit::method::FitMethod;
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
 use crate::options::{Rung, Tune};
 use crate::strict_math::StrictMath;
-
-/// Fraction of a time budget that the float fit may use.
-const FIT_SHARE: f64 = 0.8;
-
-/// Decay rates of the optimizer's moments under a detail layer with perceptual tuning. Compared with 0.9 and 0.95, they
-/// gain 0.1 to 0.2 points of SSIMULACRA2 in these short fits.
-const BASE_DECAY: [f32; 2] = [0.7, 0.9];
-/// Factor on the iterations for squared error at a ratio of 20, up to effort 6. It gains 0.09 dB and nearly doubles the
-/// encoding time. At a ratio of 50 it would gain about as much for the same time; that is left to higher efforts.
-const FINE_BASE_STEPS: f32 = 2.5;
-/// Ratio at which that factor applies in full, and ratio at which it is 1. Between them it depends on the logarithm of
-/// the ratio.
-const FINE_RATIOS: [f64; 2] = [20.0, 50.0];
-/// Maximum number of relocations under a detail layer with perceptual tuning, and minimum number of steps between them.
-/// Each costs as much as three to five steps. 16 or 26 gain nothing.
-const MAX_BASE_RELOCATIONS: u32 = 10;
-const MIN_BASE_RELOCATION_INTERVAL: u32 = 10;
-
-/// Numbers of pixels of small and of large pictures. Between them, the minimum number of pixels per primitive depends on
-/// the logarithm of the number.
-const REDUCED_SIZES: [f64; 2] = [393_216.0, 2_800_000.0];
-/// Step sizes at the end of a fit, relative to those at the start.
-pub(crate) const LAST_RATE: f32 = 0.02;
-/// Maximum share of the primitives in each relocation at a steady pace.
-const RELOCATED_SHARE: f32 = 0.1;
-/// Maximum number of steps between relocations.
-const MAX_RELOCATION_INTERVAL: u32 = 25;
-
-/// Number of primitives from which on a picture is among the largest.
-const HUGE_COUNT: usize = 300_000;
 
 /// The schedule of one encode.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
     /// Gradient steps of the float fit.
     pub iterations: u32,
-    /// Gradient steps during freezing, where primitives are fixed at lattice points. Descent alone comes within 0.05 dB
-    /// of it.
-    pub freezing: u32,
     /// Maximum number of descent sweeps over the integers.
     pub sweeps: u32,
     /// Iterations between relocations.
@@ -87,7 +54,7 @@ pub(crate) struct Plan {
 /// Returns the factor, a power of two, by which a picture of `pixels` pixels may be downscaled while `count` primitives
 /// are fitted to it under a detail layer.
 pub(crate) fn reduction(settings: &Reduction, pixels: u64, count: usize) -> u32 {
-    let ([small, large], [least, most]) = (REDUCED_SIZES, settings.min_pixels_each);
+    let ([small, large], [least, most]) = (fit::REDUCTION_PIXELS, settings.min_pixels_each);
     let share = ((pixels as f64 / small).strict_ln() / (large / small).strict_ln()).clamp(0.0, 1.0);
     let min_pixels_each = least * (most / least).strict_powf(share);
     let pixels_each = pixels as f64 / count.max(1) as f64;
@@ -100,13 +67,10 @@ pub(crate) fn reduction(settings: &Reduction, pixels: u64, count: usize) -> u32 
 
 /// Returns the factor on the iterations for squared error in a file of the given ratio.
 fn fine_step_factor(ratio: f64) -> f32 {
-    let [fine, coarse] = FINE_RATIOS;
+    let [fine, coarse] = fit::EXACT_FIT_RATIOS;
     let share = ((coarse / ratio).strict_ln() / (coarse / fine).strict_ln()).clamp(0.0, 1.0);
-    FINE_BASE_STEPS.strict_powf(share as f32)
+    fit::MAX_EXACT_FIT_FACTOR.strict_powf(share as f32)
 }
-
-/// Number of primitives from which on a fit has a brisk pace.
-const BRISK_COUNT: usize = 4000;
 
 /// How fast the optimizer forgets, and how many primitives are relocated when.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,26 +87,23 @@ impl Plan {
     /// Returns the schedule for `count` primitives on `pixels` pixels. Fewer primitives cost less per step and need more
     /// steps to find their places.
     pub(crate) fn new(settings: &FitSettings, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
-        let is_dense = count >= BRISK_COUNT;
-        let density = count.max(1) as f32 / 5500.0;
-        let exponent = if density < 1.0 { -0.95 } else { settings.dense_exponent };
-        let patience = density.strict_powf(exponent).clamp(0.25, 9.0);
-        // On small pictures, 50 % more steps gain 0.1 dB and take only seconds.
+        let is_dense = count >= fit::BRISK_COUNT;
+        let density = count.max(1) as f32 / fit::REFERENCE_COUNT;
+        let exponent = if density < 1.0 { fit::SPARSE_EXPONENT } else { settings.dense_exponent };
+        let patience = density.strict_powf(exponent).clamp(fit::DENSITY_FACTORS[0], fit::DENSITY_FACTORS[1]);
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
-        let extra = if pixels < LARGE_PIXELS { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
+        let [none, all, still_all, no_more] = fit::EXTRA_COUNTS;
+        let extra = match pixels < fit::LARGE_PIXELS {
+            true => fit::EXTRA_ITERATIONS * share(none, all) * share(no_more, still_all),
+            false => 0.0,
+        };
         let iterations = (settings.iterations[usize::from(is_dense)] * patience * (1.0 + extra)) as u32;
-        let sweeps = settings.sweeps[match count {
-            ..2000 => 0,
-            2000..40_000 => 1,
-            40_000..HUGE_COUNT => 2,
-            _ => 3,
-        }];
-        let freezing = if settings.freezes && count > 2000 { iterations / 4 } else { 0 };
+        let sweeps = settings.sweeps[fit::SWEEP_COUNTS.iter().filter(|&&limit| count >= limit).count()];
         let now = Instant::now();
         let deadline = time.and_then(|t| now.checked_add(t));
-        let fit_deadline = time.and_then(|t| now.checked_add(t.mul_f64(FIT_SHARE)));
+        let fit_deadline = time.and_then(|t| now.checked_add(t.mul_f64(fit::FIT_TIME_SHARE)));
         let pace = if is_dense { Pace::Brisk } else { Pace::Steady };
-        Plan { freezing, sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
+        Plan { sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
     }
 
     /// Returns the schedule for primitives under a detail layer, which corrects what a short fit leaves. `ratio` is
@@ -158,7 +119,8 @@ impl Plan {
         let iterations = (self.iterations as f32 * share) as u32;
         let relocate_every = match is_exact {
             true => Plan::steps(iterations, self.seed).relocate_every,
-            false => (iterations / MAX_BASE_RELOCATIONS).clamp(MIN_BASE_RELOCATION_INTERVAL, MAX_RELOCATION_INTERVAL),
+            false => (iterations / fit::MAX_BASE_RELOCATIONS)
+                .clamp(fit::MIN_BASE_RELOCATION_INTERVAL, fit::MAX_RELOCATION_INTERVAL),
         };
         let [few, many, exact] = settings.sweeps;
         let sweeps = self.sweeps.min(match self.pace {
@@ -167,12 +129,12 @@ impl Plan {
             Pace::Brisk => many,
         });
         let (last_rate, relocated_share, decay) = if is_exact {
-            (LAST_RATE, RELOCATED_SHARE, None)
+            (fit::LAST_RATE, fit::RELOCATED_SHARE, None)
         } else {
-            (settings.last_rate, settings.relocated_share, Some(BASE_DECAY))
+            (settings.last_rate, settings.relocated_share, Some(fit::BASE_DECAY))
         };
         let half = settings.half;
-        Plan { iterations, relocate_every, sweeps, freezing: 0, half, last_rate, relocated_share, decay, ..self }
+        Plan { iterations, relocate_every, sweeps, half, last_rate, relocated_share, decay, ..self }
     }
 
     /// Returns the schedule for a file without a detail layer.
@@ -180,20 +142,19 @@ impl Plan {
         Plan { half: Some(if tune == Tune::Psnr { HalfSize::LATE } else { settings.half }), ..self }
     }
 
-    /// Returns the schedule of a float fit of `iterations` steps, without freezing or sweeps.
+    /// Returns the schedule of a float fit of `iterations` steps, without sweeps.
     pub(crate) fn steps(iterations: u32, seed: u64) -> Self {
         Plan {
             iterations,
-            freezing: 0,
             sweeps: 0,
-            relocate_every: (iterations / 24).clamp(8, MAX_RELOCATION_INTERVAL),
+            relocate_every: (iterations / 24).clamp(8, fit::MAX_RELOCATION_INTERVAL),
             pace: Pace::Steady,
             fit_deadline: None,
             deadline: None,
             enough: 0.0,
             rate: 1.0,
-            last_rate: LAST_RATE,
-            relocated_share: RELOCATED_SHARE,
+            last_rate: fit::LAST_RATE,
+            relocated_share: fit::RELOCATED_SHARE,
             decay: None,
             reweighs: false,
             half: None,
@@ -222,10 +183,6 @@ impl Plan {
             }
             None => 0.0,
         }
-    }
-
-    pub(crate) fn is_fit_over(&self) -> bool {
-        self.fit_deadline.is_some_and(|d| Instant::now() >= d)
     }
 }
 

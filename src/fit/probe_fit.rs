@@ -4,6 +4,7 @@
 //! Only a fit whose steps have become small can show that: in the middle of a fit, the noise of long steps hides it.
 //! The long fit continues from the end of the short one and takes correspondingly fewer steps, so no work is lost.
 
+use crate::constants::fit;
 use crate::error::Result;
 use crate::fit::engine::{Ending, Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
@@ -16,10 +17,6 @@ use crate::fit::multi_start;
 use crate::fit::plan::Plan;
 use crate::fit::schedule;
 
-/// Fraction of the steps, and of a time budget, for the short fit. With 0.15 it shows less; with 0.5 too little remains
-/// for the rest.
-const PROBE_SHARE: f32 = 0.3;
-
 /// The result of a probe fit.
 pub(super) enum ProbeOutcome {
     /// The reweighted target, and the number of steps taken.
@@ -31,7 +28,7 @@ pub(super) enum ProbeOutcome {
 /// Runs the short fit and reweights the pixels.
 pub(super) fn probe<E: Engine>(job: &Job<'_>, engine: &mut E, watcher: &mut dyn Watcher) -> Result<ProbeOutcome> {
     let all = job.plan.iterations;
-    let plan = job.plan.part(PROBE_SHARE);
+    let plan = job.plan.part(fit::PROBE_SHARE);
     let steps = plan.iterations;
     let rng = multi_start::random(&Plan { seed: plan.seed.wrapping_add(1), ..plan.clone() });
     let ending = schedule::run(&Job { plan: &plan, ..*job }, engine, (rng, 0..steps), &mut ProbeWatcher { watcher })?;
@@ -53,7 +50,7 @@ struct ProbeWatcher<'a> {
 
 impl Watcher for ProbeWatcher<'_> {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
-        self.watcher.step(PROBE_SHARE * done, now)
+        self.watcher.step(fit::PROBE_SHARE * done, now)
     }
 
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {

@@ -6,6 +6,7 @@ use std::ops::Range;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
+use crate::constants::fit;
 use crate::effort::HalfSize;
 use crate::error::Result;
 use crate::fit::engine::{Ending, Engine, EngineSnapshot, Watcher};
@@ -19,40 +20,21 @@ use crate::instant::Instant;
 use crate::options::Rung;
 use crate::strict_math::StrictMath;
 
-/// Step sizes at the start, in each Gaussian's own frame and units. `cargo run --release -p ssplat-lab --example
-/// rate_distortion -- PICTURES` measures the effect of other values.
-pub(crate) const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.02, decay: [0.9, 0.95] };
-/// End of the iterations that sample the fewest rows, as a fraction of all iterations.
-pub(crate) const SAMPLED_UNTIL: f32 = 0.8;
-/// Start of the iterations that sample the most rows, as a fraction of all iterations.
-const DENSE_FROM: f32 = 0.95;
-/// Iterations between checks of the error over all rows in the last part of a fit.
-const CHECK_INTERVAL: u32 = 20;
-/// Maximum size of a picture that is checked in each of those iterations, in pixels. A few primitives can lose tenths
-/// of a decibel in a single step.
-const MAX_ALWAYS_CHECKED_PIXELS: u64 = 1 << 14;
-/// End of relocations at a brisk pace, as a fraction of the iterations.
-const BRISK_RELOCATION_END: f32 = 0.6;
-/// End of relocations at a steady pace, as a fraction of the iterations.
-const STEADY_RELOCATION_END: f32 = 0.7;
-/// Initial share of the primitives in each relocation at a brisk pace. It falls to 0.
-const BRISK_RELOCATED_SHARE: f32 = 0.2;
+/// Step sizes at the start, in each Gaussian's own frame and units.
+pub(crate) const RATES: Rates = Rates {
+    mean: fit::MEAN_RATE,
+    log_scale: fit::LOG_SCALE_RATE,
+    rotation: fit::ROTATION_RATE,
+    color: fit::COLOR_RATE,
+    decay: fit::DECAYS[2],
+};
 
 fn relocation_end(pace: Pace) -> f32 {
     match pace {
-        Pace::Steady => STEADY_RELOCATION_END,
-        Pace::Brisk => BRISK_RELOCATION_END,
+        Pace::Steady => fit::STEADY_RELOCATION_END,
+        Pace::Brisk => fit::BRISK_RELOCATION_END,
     }
 }
-
-/// Fraction of the iterations that use a large picture at half size, measured in `coarse.rs`.
-const COARSE_SHARE: f32 = 0.7;
-/// Minimum number of primitives for that. Fewer cost little, and each matters to the end.
-const MIN_COARSE_COUNT: usize = 1000;
-/// Minimum distance of sampled rows for that. Gaussians then span several pixels, and half size loses nothing at first.
-const MIN_COARSE_ROW_STEP: u32 = 5;
-/// When the number of primitives is corrected, as fractions of the iterations.
-const RECOUNT_AT: [f32; 3] = [0.3, 0.6, 0.85];
 
 /// Fits the primitives of `engine` in the iterations `steps` of the job. `watcher` may correct their number.
 pub(crate) fn run<E: Engine>(
@@ -63,8 +45,8 @@ pub(crate) fn run<E: Engine>(
 ) -> Result<Ending> {
     let (scene, count) = (&job.problem.scene, engine.count());
     let step = scene.row_step(count);
-    let large = HalfSize { share: COARSE_SHARE, row_step: MIN_COARSE_ROW_STEP };
-    let half = if scene.is_large() && count >= MIN_COARSE_COUNT { Some(large) } else { job.plan.half };
+    let large = HalfSize { share: fit::HALF_SIZE_SHARE, row_step: fit::MIN_HALF_SIZE_ROW_STEP };
+    let half = if scene.is_large() && count >= fit::MIN_HALF_SIZE_COUNT { Some(large) } else { job.plan.half };
     // How often the picture is halved, and for which fraction of the steps.
     let seen = match job.plan.by {
         1 => half.filter(|half| step >= half.row_step).map(|half| (1, half.share)),
@@ -109,7 +91,7 @@ struct Schedule<'a> {
     row_step: u32,
     rows: RowCycle,
     rng: Pcg64Mcg,
-    /// The remaining corrections of the number of primitives: the end of [`RECOUNT_AT`].
+    /// The remaining corrections of the number of primitives: the end of [`fit::RECOUNT_AT`].
     recounts: &'static [f32],
     start: Instant,
 }
@@ -117,7 +99,7 @@ struct Schedule<'a> {
 impl<'a> Schedule<'a> {
     fn new(job: &'a Job<'a>, Part { steps, coarse }: Part, rng: Pcg64Mcg, count: usize) -> Self {
         let from = steps.start as f32 / job.plan.iterations as f32;
-        let passed = RECOUNT_AT.iter().take_while(|&&at| at < from).count();
+        let passed = fit::RECOUNT_AT.iter().take_while(|&&at| at < from).count();
         Schedule {
             job,
             steps,
@@ -126,7 +108,7 @@ impl<'a> Schedule<'a> {
             row_step: job.problem.scene.row_step(count),
             rows: RowCycle::new(),
             rng,
-            recounts: &RECOUNT_AT[passed..],
+            recounts: &fit::RECOUNT_AT[passed..],
             start: Instant::now(),
         }
     }
@@ -212,7 +194,7 @@ impl<'a> Schedule<'a> {
         } else if can_relocate && iteration > 0 && iteration.is_multiple_of(plan.relocate_every) {
             let share = match plan.pace {
                 Pace::Steady => plan.relocated_share,
-                Pace::Brisk => BRISK_RELOCATED_SHARE * (1.0 - done / BRISK_RELOCATION_END),
+                Pace::Brisk => fit::BRISK_RELOCATED_SHARE * (1.0 - done / fit::BRISK_RELOCATION_END),
             };
             let max_count = ((engine.count() as f32 * share) as usize).max(1);
             engine.relocate(&self.current().0, rows, max_count)?;
@@ -238,8 +220,8 @@ impl<'a> Schedule<'a> {
         });
         let rates = Rates { decay, ..RATES };
         let rates = rates.scaled(plan.rate).scaled(plan.last_rate + (1.0 - plan.last_rate) * cosine);
-        let each = if whole.scene.pixels() <= MAX_ALWAYS_CHECKED_PIXELS { 1 } else { CHECK_INTERVAL };
-        let is_due = done >= SAMPLED_UNTIL && self.coarse.is_none() && iteration.is_multiple_of(each);
+        let each = if whole.scene.pixels() <= fit::MAX_ALWAYS_CHECKED_PIXELS { 1 } else { fit::CHECK_INTERVAL };
+        let is_due = done >= fit::SAMPLED_UNTIL && self.coarse.is_none() && iteration.is_multiple_of(each);
         if is_due && !(E::REMEMBERS_WHOLE_STEPS && sampled == RowSet::ALL) {
             engine.remember(whole)?;
         }
@@ -294,8 +276,8 @@ impl RowCycle {
 /// information about Gaussians that span many of them.
 fn sampled_step(step: u32, done: f32) -> u32 {
     match done {
-        ..SAMPLED_UNTIL => step,
-        ..DENSE_FROM => step * 10 / 19,
+        ..fit::SAMPLED_UNTIL => step,
+        ..fit::DENSE_FROM => step * 10 / 19,
         _ => step / 3,
     }
 }

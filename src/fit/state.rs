@@ -1,6 +1,6 @@
 //! The state of a fit: primitives and the optimizer's moments.
 
-use crate::fit::model::adam::{self, AdamMoments, Bounds, Freedom, Rates};
+use crate::fit::model::adam::{self, AdamMoments, Bounds, Rates};
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::{self, Primitive, Projected};
 use crate::fit::model::drawing::strips;
@@ -10,9 +10,6 @@ use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::parallel;
 
-/// Restore the best state if the final error exceeds its error by this factor.
-pub(crate) const CLEARLY_WORSE: f64 = 1.01;
-
 /// The state of a fit.
 #[derive(Debug)]
 pub(crate) struct State {
@@ -20,8 +17,6 @@ pub(crate) struct State {
     /// Frozen primitives that are rendered together with these.
     pub frozen: Vec<Primitive>,
     pub(super) memory: Vec<AdamMoments>,
-    /// Which parameters of each primitive may change. If empty, all parameters of all primitives.
-    pub freedom: Vec<Freedom>,
     pub bounds: Bounds,
     pub field: Field,
     /// Scratch memory for the search for peaks of the error.
@@ -88,7 +83,6 @@ impl State {
             primitives,
             frozen: Vec::new(),
             memory,
-            freedom: Vec::new(),
             bounds,
             field: Field::default(),
             scratch: Scratch::default(),
@@ -122,18 +116,17 @@ impl State {
         let (width, channels) = (problem.scene.width, problem.target.channels.count());
         let price = self.price / rows.step as f32;
         let corrections = adam::corrections(rates.decay, self.iteration);
-        let (field, freedom, bounds) = (&self.field, &self.freedom, &self.bounds);
+        let (field, bounds) = (&self.field, &self.bounds);
         let (primitives, memory) = (&mut self.primitives[..], &mut self.memory[..]);
         parallel::map_chunk_pairs((primitives, CHUNK), (memory, CHUNK), |chunk, primitives, memory| {
             let start = chunk * CHUNK;
             let projected = &projected[start..][..primitives.len()];
             let mut gradients = field.gather(channels, rows, width, (start, projected), primitives);
-            for (j, (p, m)) in primitives.iter_mut().zip(memory).enumerate() {
-                let free = freedom.get(start + j).copied().unwrap_or_default();
-                let [a, b] = gradients[j].frame.scale;
+            for ((p, m), gradient) in primitives.iter_mut().zip(memory).zip(&mut gradients) {
+                let [a, b] = gradient.frame.scale;
                 let growth = price * a * b;
-                gradients[j].log_scale = gradients[j].log_scale.map(|g| g + growth);
-                adam::update(p, m, &gradients[j], free, bounds, rates, corrections);
+                gradient.log_scale = gradient.log_scale.map(|g| g + growth);
+                adam::update(p, m, gradient, bounds, rates, corrections);
             }
         });
         self.iteration += 1;
@@ -176,7 +169,6 @@ mod tests {
     use crate::fit::model::adam::price;
     use crate::fit::model::objective::planes::Planes;
     use crate::fit::model::problem::Scene;
-    use crate::fit::plan::LAST_RATE;
     use crate::fit::schedule::RATES;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
@@ -201,7 +193,8 @@ mod tests {
             .collect();
         let fitted = |priced: bool| {
             let mut state = State::new(primitives.clone(), Bounds::new(96, 80));
-            let before = State::descend(&mut state, &problem, RowSet::ALL, RATES.scaled(LAST_RATE));
+            let before =
+                State::descend(&mut state, &problem, RowSet::ALL, RATES.scaled(crate::constants::fit::LAST_RATE));
             state.price = if priced { price(before, [96, 80], RowSet::ALL, primitives.len()) } else { 0.0 };
             let mut after = 0.0;
             for i in 0..200 {

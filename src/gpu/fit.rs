@@ -10,6 +10,7 @@ use super::peaks::Peaks;
 use super::scene::{NO_ALPHA, Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, rows_at_a_time, words};
 use super::workspace::{BufferSizes, SLOT, SLOTS, Workspace};
+use crate::constants::fit;
 use crate::error::{GpuError, Result};
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{self, AdamMoments, Bounds, Rates};
@@ -19,7 +20,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::{self, Peak};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::state::{CLEARLY_WORSE, Progress, State};
+use crate::fit::state::{Progress, State};
 use crate::gaussian::Channels;
 use crate::pixels::Depth;
 use crate::raster::View;
@@ -628,7 +629,7 @@ impl Engine for Fitter {
     fn keep_best(&mut self) -> Result<()> {
         self.flush()?;
         let Some((least, best)) = self.best.take() else { return Ok(()) };
-        if self.survey(RowSet::ALL, Wanted::Error)?.error > CLEARLY_WORSE * least {
+        if self.survey(RowSet::ALL, Wanted::Error)?.error > fit::CLEARLY_WORSE * least {
             self.primitives = best;
             // The moments belong to the state that is dropped.
             let zeros = vec![[0.0f32; 9]; self.count as usize];

@@ -4,12 +4,8 @@
 use crate::bitstream::coder::expect::{Angles, PredictedCost};
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::PackedGaussian;
+use crate::constants::rdo;
 use crate::strict_math::StrictMath;
-
-/// Factor on the predicted bits of a colour. A colour close to its neighbours' also makes theirs cheaper. Of 1, 1.3 and
-/// 1.6 this was best on Kodak 05, 13, 15 and 23 at ratios of 50 and 200. `cargo run --release -p ssplat-lab --example
-/// rate_distortion -- PICTURES` measures the effect of other values.
-const COLOR_BITS_FACTOR: f32 = 1.3;
 
 /// Bits of each symbol under order-0 statistics of one set of primitives, and the entropy coder's predictions.
 #[derive(Debug, Clone)]
@@ -28,8 +24,8 @@ impl<'a> BitCosts<'a> {
     /// Measures the symbol frequencies of `gaussians`. `expected` holds the coder's prediction for each of them, or is
     /// empty.
     pub(crate) fn measure(gaussians: &[PackedGaussian], channels: usize, expected: &'a [PredictedCost]) -> Self {
-        let mut major = vec![0.05f32; 256];
-        let mut difference = vec![0.05f32; 256];
+        let mut major = vec![rdo::SCALE_COUNT_FLOOR; 256];
+        let mut difference = vec![rdo::SCALE_COUNT_FLOOR; 256];
         let mut color: [Vec<f32>; 4] = std::array::from_fn(|_| vec![0.0; 2 * COLOR_REACH as usize + 1]);
         for g in gaussians {
             major[usize::from(g.major)] += 1.0;
@@ -94,7 +90,7 @@ impl Cost<'_> {
     #[inline(always)]
     pub(crate) fn colors(&self, c: [i16; 4]) -> f32 {
         match self.expected {
-            Some(e) => COLOR_BITS_FACTOR * e.color(c, self.shared.channels),
+            Some(e) => rdo::COLOR_BITS_FACTOR * e.color(c, self.shared.channels),
             None => (0..self.shared.channels).map(|k| self.shared.color[k][BitCosts::slot(c[k])]).sum(),
         }
     }
@@ -102,7 +98,7 @@ impl Cost<'_> {
     /// Returns a lower bound on the bits of any colour.
     #[inline(always)]
     pub(crate) fn min_color_bits(&self) -> f32 {
-        self.expected.map_or(0.0, |e| COLOR_BITS_FACTOR * e.least_color(self.shared.channels))
+        self.expected.map_or(0.0, |e| rdo::COLOR_BITS_FACTOR * e.least_color(self.shared.channels))
     }
 }
 
@@ -129,11 +125,11 @@ fn smooth(counts: &[f32]) -> Vec<f32> {
     let n = counts.len();
     (0..n)
         .map(|i| {
-            let mut s = 0.02;
+            let mut s = rdo::COLOR_COUNT_FLOOR;
             for d in -2i32..=2 {
                 let j = i as i32 + d;
                 if (0..n as i32).contains(&j) {
-                    s += counts[j as usize] * [0.4, 0.2, 0.1][d.unsigned_abs() as usize];
+                    s += counts[j as usize] * rdo::COLOR_COUNT_KERNEL[d.unsigned_abs() as usize];
                 }
             }
             s

@@ -10,6 +10,7 @@ use glam::Vec2;
 
 use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::splats::PackedGaussian;
+use crate::constants::rdo;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::kernel;
 use crate::fit::model::drawing::project::Projected;
@@ -30,10 +31,6 @@ const BAND: usize = 96;
 
 /// Width of the blocks of a band that are processed one after the other, pixels.
 const BLOCK: usize = 64;
-
-/// Number of bits by which a move may look worse than no move and still be evaluated, because it is not known yet how
-/// well its colour can be rounded.
-const MAX_APPARENT_LOSS: f32 = 3.0;
 
 /// The parts of the picture that changed recently. A primitive whose surroundings did not change need not be tried
 /// again.
@@ -326,7 +323,7 @@ impl<const C: usize> BandTask<'_, C> {
         let end = self.first + self.planes.len() / ((C + 1) * self.problem.target.stride);
         let rows = reach(&p, height as usize);
         let rows = rows.start.max(self.first)..rows.end.min(end);
-        let half = before.extent()[0] * 1.25 + 3.0;
+        let half = before.extent()[0] * rdo::PATCH_GROWTH + rdo::PATCH_MARGIN;
         let left = (p.center[0] - half).max(0.0) as usize;
         let right = ((p.center[0] + half).max(0.0) as usize + 1).min(self.problem.scene.width as usize);
         if left >= right {
@@ -427,7 +424,7 @@ impl<const C: usize> BandTask<'_, C> {
                 let to = PackedGaussian { x, y, ..p };
                 let [dx, dy] = [(x as f32 + 0.5) * ex - before.mean[0], (y as f32 + 0.5) * ey - before.mean[1]];
                 let value = bits + quadratic.at([(cos * dx + sin * dy) / sx, (cos * dy - sin * dx) / sy]);
-                if value < MAX_APPARENT_LOSS * lambda && to != *old && self.quantizer.holds(&to) {
+                if value < rdo::MAX_APPARENT_LOSS * lambda && to != *old && self.quantizer.holds(&to) {
                     moves.add(value, to);
                 }
             }

@@ -12,7 +12,6 @@ use crate::fit::state::State;
 use crate::options::Rung;
 use crate::quantize::Quantizer;
 use crate::rdo::descend::Descent;
-use crate::rdo::freeze;
 use crate::rdo::rounded::{Rounded, projected, quantizer};
 use crate::rdo::size::{Size, resize};
 use crate::rdo::size_loop::{IntegerSet, SizeSchedule, bring_to_size};
@@ -52,16 +51,12 @@ pub(crate) struct Finished {
 pub(crate) fn finish(task: &Rounding<'_>, mut state: State, client: &mut dyn Client) -> Result<Finished> {
     let Rounding { problem, layout, size, plan } = *task;
     let float_error = float_error(&problem, &state.primitives);
-    let mut rounded = Rounded::of_error(&problem, layout, &state.primitives, float_error);
+    let rounded = Rounded::of_error(&problem, layout, &state.primitives, float_error);
     let quantizer = quantizer(&problem, layout, &rounded.steps);
     // From here on, the background is that of the file.
     let background = quantizer.dequantize_color(rounded.background);
     let problem = Problem { scene: Scene { background, ..problem.scene }, ..problem };
     let descends = plan.rung >= Rung::Descent;
-    if descends && plan.freezing > 0 && !plan.is_fit_over() {
-        freeze::freeze(&problem, &mut state, &quantizer, plan, &mut |done, now| client.step(0.5 * done, now))?;
-        rounded.round(&quantizer, &state.primitives);
-    }
     let field = std::mem::take(&mut state.field);
     drop(state);
     let descent = Descent::new(problem, &quantizer, field);
@@ -86,8 +81,7 @@ impl IntegerSet for WholeIntegers<'_> {
     fn start_round(&mut self, round: u32, rounds: u32) -> Result<()> {
         let problem = &self.descent.problem;
         let project = || projected(self.quantizer, &self.rounded.gaussians, problem.scene.height);
-        let done = round as f32 / rounds as f32;
-        self.client.step(0.5 + 0.5 * done, &mut StaticSnapshot { problem, project: &project })
+        self.client.step(round as f32 / rounds as f32, &mut StaticSnapshot { problem, project: &project })
     }
 
     fn is_empty(&self) -> bool {

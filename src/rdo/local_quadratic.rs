@@ -2,12 +2,7 @@
 //! moves that are worth a pass over the pixels.
 
 use crate::bitstream::splats::PackedGaussian;
-
-/// Maximum number of moves that are evaluated. More of them would gain 0.01 dB.
-const MAX_MOVES: usize = 6;
-
-/// Maximum shift of the mean, in units of the scales. Farther away, the model does not hold.
-const TRUST_RADIUS: f32 = 1.0;
+use crate::constants::rdo;
 
 /// Half the gradient and half the Hessian (Gauss–Newton) of the squared error in the primitive's whitened frame: mean,
 /// log-scales, rotation. The colour is optimized for each shape.
@@ -54,7 +49,7 @@ impl FixedShapeQuadratic {
         let (a, c) = (a.max(0.0) + ridge, c.max(0.0) + ridge);
         let det = (a * c - b * b).max(1e-3 * a * c);
         let [u, v] = self.slope;
-        [(b * v - c * u) / det, (b * u - a * v) / det].map(|s| s.clamp(-TRUST_RADIUS, TRUST_RADIUS))
+        [(b * v - c * u) / det, (b * u - a * v) / det].map(|s| s.clamp(-rdo::TRUST_RADIUS, rdo::TRUST_RADIUS))
     }
 
     /// Returns the change of the error if the mean shifts by `(u, v)`.
@@ -68,7 +63,7 @@ impl FixedShapeQuadratic {
 /// The most promising moves, best first.
 #[derive(Debug, Default)]
 pub(crate) struct Moves {
-    best: [(f32, PackedGaussian); MAX_MOVES],
+    best: [(f32, PackedGaussian); rdo::MAX_MOVES],
     count: usize,
 }
 
@@ -77,8 +72,8 @@ impl Moves {
     #[inline(always)]
     pub(crate) fn add(&mut self, value: f32, to: PackedGaussian) {
         let at = self.best[..self.count].iter().position(|b| value < b.0).unwrap_or(self.count);
-        if at < MAX_MOVES {
-            self.count = (self.count + 1).min(MAX_MOVES);
+        if at < rdo::MAX_MOVES {
+            self.count = (self.count + 1).min(rdo::MAX_MOVES);
             self.best.copy_within(at..self.count - 1, at + 1);
             self.best[at] = (value, to);
         }

@@ -1,5 +1,4 @@
-//! Rounds fitted primitives to integers: step sizes, freezing on the lattice, descent over the integers, and the
-//! requested file size.
+//! Rounds fitted primitives to integers: step sizes, descent over the integers, and the requested file size.
 //!
 //! This module works on the integers of [`bitstream::splats`](crate::bitstream::splats) and never sees a file. The
 //! caller, which writes the file, reports its length through [`finish::Client`].
@@ -7,7 +6,6 @@
 mod bit_cost;
 pub(crate) mod descend;
 pub(crate) mod finish;
-mod freeze;
 mod local_quadratic;
 mod patch;
 pub(crate) mod rounded;

@@ -1,6 +1,7 @@
 //! The pixels around one primitive, and how their error depends on its replacement: exactly on the colour of a given
 //! shape, and to second order on the shape.
 
+use crate::constants::rdo;
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::drawing::walk::{self, Strip, Visit};
 use crate::fit::model::objective::planes::Planes;
@@ -11,23 +12,10 @@ use crate::simd::{LANES, Simd};
 use crate::strict_math::StrictMath;
 use crate::weighting::RowWeights;
 
-/// Where rows may be skipped, their distance grows by 1 for this many rows of the primitive's support.
-const SUPPORT_ROWS_PER_STEP: usize = 32;
-
-/// Maximum distance of the rows of a patch on a large picture.
-const MAX_ROW_STEP: usize = 4;
-
-/// Mean number of primitives over a pixel, for each row step that is added on any picture. Photographs have 4 to 16. A
-/// gradient can have hundreds of wide ones, and would take many times as long as a photograph.
-const PRIMITIVES_PER_ROW_STEP: f32 = 24.0;
-
-/// Maximum distance of these rows.
-const MAX_CROWDED_ROW_STEP: f32 = 16.0;
-
 /// Returns the maximum distance of the rows of patches, if `overlap` primitives cover a pixel in the mean.
 pub(super) fn max_row_step(scene: &Scene, overlap: f32) -> usize {
-    let crowded = (overlap / PRIMITIVES_PER_ROW_STEP).ceil().clamp(1.0, MAX_CROWDED_ROW_STEP) as usize;
-    if scene.is_large() { crowded.max(MAX_ROW_STEP) } else { crowded }
+    let crowded = (overlap / rdo::PRIMITIVES_PER_ROW_STEP).ceil().clamp(1.0, rdo::MAX_CROWDED_ROW_STEP) as usize;
+    if scene.is_large() { crowded.max(rdo::MAX_ROW_STEP) } else { crowded }
 }
 
 /// The pixels around one primitive, with that primitive removed.
@@ -207,7 +195,7 @@ impl<'a> Patch<'a> {
     /// Returns the distance of the stored rows. Tall primitives have more pixels than a decision needs.
     fn row_step(&self, p: &Projected) -> usize {
         let tall = (p.rows[1] - p.rows[0]) as usize;
-        (tall / SUPPORT_ROWS_PER_STEP).clamp(1, self.max_step)
+        (tall / rdo::SUPPORT_ROWS_PER_STEP).clamp(1, self.max_step)
     }
 
     /// Returns the background's term in channel `k`, which is added to `Σwc` before the division.

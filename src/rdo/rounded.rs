@@ -1,6 +1,7 @@
 //! Integer primitives, the step sizes that they use, and their projection.
 
 use crate::bitstream::splats::{Layout, PackedGaussian, Steps};
+use crate::constants::rdo;
 use crate::fit::model::drawing::field::float_error;
 use crate::fit::model::drawing::project::{Primitive, Projected};
 use crate::fit::model::objective::rows::RowSet;
@@ -15,11 +16,6 @@ pub(crate) struct Rounded {
     pub background: [i16; 4],
     pub gaussians: Vec<PackedGaussian>,
 }
-
-/// Quantile of the primitives' sizes for which the coarsest positions of the coded layout are chosen.
-const COARSEST_QUANTILE: f32 = 0.97;
-/// Quantile of the primitives' sizes for which the single position step of the other layouts is chosen.
-const SINGLE_STEP_QUANTILE: f32 = 0.25;
 
 impl Rounded {
     /// Rounds `primitives` to the nearest integers, with steps that suit them.
@@ -63,24 +59,18 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
     let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);
     match layout {
         Layout::Coded => {
-            // Found by trying all neighbours on photographs at ratios from 20 to 1500; the optimum is flat. `cargo run
-            // --release -p ssplat-lab --example rate_distortion -- PICTURES` measures the effect of other values.
-            let (scale, position, luma) = match psnr {
-                ..24.0 => (5, 5, 6),
-                24.0..30.0 => (4, 6, 6),
-                30.0..36.0 => (4, 7, 6),
-                36.0..41.0 => (3, 7, 5),
-                _ => (2, 8, 4),
-            };
-            let log2 = at(COARSEST_QUANTILE) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
+            // A PSNR that is not a number belongs to a picture without error.
+            let passed = rdo::STEP_PSNRS.iter().filter(|&&limit| psnr >= limit || psnr.is_nan()).count();
+            let [scale, position, luma] = rdo::CODED_STEPS[passed];
+            let log2 = at(rdo::COARSEST_QUANTILE) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
             let coarsest = (log2.ceil() as i8).clamp(-2, 9);
             let range = (coarsest + 4).clamp(1, 15) as u8;
             Steps { scale, angle: 1, position, coarsest, range, luma, chroma: 1 }
         }
         Layout::Packed | Layout::Planes => {
-            // One step for all positions, fine enough for the small Gaussians: a sixth of their size.
-            let small = at(SINGLE_STEP_QUANTILE) / std::f32::consts::LN_2;
-            let coarsest = ((small - 2.5).round() as i8).clamp(-4, 6);
+            // One step for all positions, fine enough for the small Gaussians.
+            let small = at(rdo::SINGLE_STEP_QUANTILE) / std::f32::consts::LN_2;
+            let coarsest = ((small - rdo::SINGLE_STEP_LOG_PART).round() as i8).clamp(-4, 6);
             Steps { scale: 2, angle: 1, position: 5, coarsest, range: 0, luma: 8, chroma: 2 }
         }
     }

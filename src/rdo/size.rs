@@ -1,6 +1,7 @@
 //! Corrections of the number of integer primitives, by the bytes above or below the requested size.
 
 use crate::bitstream::splats::PackedGaussian;
+use crate::constants::rdo;
 use crate::fit::model::drawing::field::Output;
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::{peaks, removal};
@@ -28,16 +29,9 @@ impl Size {
 /// Approximate number of bytes of a file that are not its primitives': the header.
 const HEADER: u64 = 20;
 
-/// Share of the free bytes that is filled with new primitives. The first estimate of their cost may be too low, and a
-/// file that is too long costs another round.
-const FILL_SHARE: f64 = 0.97;
-
-/// Bytes by which a settled file may always be too short: less than one primitive.
-const SETTLED_BYTES: u64 = 4;
-
 /// Returns whether a file is as large as it may be: below `max_bytes` by no more than one part in `part`.
 pub(crate) fn is_settled(bytes: u64, max_bytes: u64, part: u64) -> bool {
-    bytes <= max_bytes && max_bytes - bytes <= (max_bytes / part).max(SETTLED_BYTES)
+    bytes <= max_bytes && max_bytes - bytes <= (max_bytes / part).max(rdo::SETTLED_BYTES)
 }
 
 /// Change of the number of primitives that brings a file to its size.
@@ -54,7 +48,7 @@ pub(crate) fn correction(count: usize, primitives: u64, bytes: u64, max_bytes: u
     let each = (primitives as f64 / count.max(1) as f64).max(1.0);
     match bytes.checked_sub(max_bytes) {
         Some(over @ 1..) => Correction::Remove((over as f64 / each).ceil() as usize),
-        _ => Correction::Add(((max_bytes - bytes) as f64 / each * FILL_SHARE) as usize),
+        _ => Correction::Add(((max_bytes - bytes) as f64 / each * rdo::FILL_SHARE) as usize),
     }
 }
 

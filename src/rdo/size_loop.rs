@@ -3,42 +3,10 @@
 
 use std::time::Duration;
 
+use crate::constants::rdo;
 use crate::error::Result;
 use crate::instant::Instant;
 use crate::rdo::size::{Size, is_settled};
-
-// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES` measures the effect of other values of
-// these constants, and the example `tiny_files` does so for small files.
-
-/// Squared error that a bit must save, relative to the mean squared error per bit: the slope of the rate–distortion
-/// curve, where doubling the bytes gains two to three decibels.
-const SLOPE: f64 = 0.7;
-/// Minimum number of sweeps from which the rounds are counted. One lets the integers settle, and one shows that they
-/// have.
-pub(crate) const MIN_SWEEPS: u32 = 2;
-/// Rounds after the last planned sweep in which the file may still be brought to its size. One or two are usually
-/// enough.
-const EXTRA_ROUNDS: u32 = 6;
-/// Number of rounds before the last planned sweep from which on the size is corrected. The remaining sweeps settle what
-/// was added. Earlier, each sweep shortens the file by more than a correction would.
-const CORRECTION_ROUNDS: u32 = 3;
-/// A sweep that lowers the objective by a smaller share of the error is quiet: it has found almost nothing.
-const QUIET_GAIN: f64 = 2e-4;
-/// Number of consecutive quiet sweeps that end the descent. A single one may be caused by a correction of the size.
-const QUIET_SWEEPS: u32 = 2;
-/// A file is settled if it is below its size by at most one part in this many, or by a few bytes.
-const SETTLED_PART: u64 = 400;
-/// After the last planned sweep, a file that is too long is cut to one part in this many below its size, because each
-/// sweep may lengthen it slightly again.
-const MARGIN_PART: u64 = 1000;
-/// Share of a file's bytes that the first sweep is expected to save: 1 to 3.5 % on photographs of 0.4 to 14 megapixels.
-const FIRST_SHRINK: f64 = 0.02;
-/// Savings of a sweep relative to those of the previous one: 0.3 to 0.7 on the same photographs.
-const SHRINK_DECAY: f64 = 0.45;
-/// A file fills its size if it is below it by at most one part in this many, or by [`FILLED_BYTES`].
-const FILLED_PART: u64 = 50;
-/// Bytes by which a file that fills its size may always be too short: about ten primitives.
-const FILLED_BYTES: u64 = 40;
 
 /// Integers of a picture, and the file that they make.
 pub(crate) trait IntegerSet {
@@ -91,7 +59,7 @@ impl SizeSchedule {
 /// # Errors
 /// Returns an error of `set`.
 pub(crate) fn bring_to_size<S: IntegerSet>(set: &mut S, schedule: SizeSchedule) -> Result<()> {
-    let sizing = SizeLoop { set, schedule, best: None, quiet: 0, expected_bytes: 0.0, shrink: FIRST_SHRINK };
+    let sizing = SizeLoop { set, schedule, best: None, quiet: 0, expected_bytes: 0.0, shrink: rdo::FIRST_SHRINK };
     sizing.run()
 }
 
@@ -126,14 +94,14 @@ impl<S: IntegerSet> SizeLoop<'_, S> {
         let SizeSchedule { size, sweeps, descends, .. } = self.schedule;
         let mut bytes = self.set.bytes()?;
         self.expected_bytes = bytes as f64;
-        let rounds = sweeps.max(MIN_SWEEPS) + EXTRA_ROUNDS;
+        let rounds = sweeps.max(rdo::MIN_SWEEPS) + rdo::EXTRA_ROUNDS;
         // Duration of a round, if it is known yet.
         let mut round_time = Duration::ZERO;
         for round in 0..rounds {
             let start = Instant::now();
             self.set.start_round(round, rounds)?;
             let is_late = self.schedule.is_over(round_time);
-            if size == Size::Free && (is_late || round >= sweeps || self.quiet >= QUIET_SWEEPS) {
+            if size == Size::Free && (is_late || round >= sweeps || self.quiet >= rdo::QUIET_SWEEPS) {
                 break;
             }
             let error = self.set.error()?;
@@ -147,7 +115,7 @@ impl<S: IntegerSet> SizeLoop<'_, S> {
                 self.sweep(error, bytes)?;
             }
             bytes = self.set.bytes()?;
-            self.shrink = SHRINK_DECAY * (1.0 - bytes as f64 / self.expected_bytes).max(0.0);
+            self.shrink = rdo::SHRINK_DECAY * (1.0 - bytes as f64 / self.expected_bytes).max(0.0);
             self.expected_bytes = bytes as f64;
             if !is_late {
                 round_time = start.elapsed();
@@ -169,12 +137,12 @@ impl<S: IntegerSet> SizeLoop<'_, S> {
         if is_late && self.best.as_ref().is_some_and(|b| b.fills_size) {
             return Ok(true);
         }
-        let is_settled = is_settled(bytes, max_bytes, SETTLED_PART);
-        if is_settled && (round >= sweeps || self.quiet >= QUIET_SWEEPS) {
+        let is_settled = is_settled(bytes, max_bytes, rdo::SETTLED_PART);
+        if is_settled && (round >= sweeps || self.quiet >= rdo::QUIET_SWEEPS) {
             return Ok(true);
         }
-        if !is_settled && (is_late || round + CORRECTION_ROUNDS >= sweeps) {
-            let max_bytes = if round >= sweeps { max_bytes - max_bytes / MARGIN_PART } else { max_bytes };
+        if !is_settled && (is_late || round + rdo::CORRECTION_ROUNDS >= sweeps) {
+            let max_bytes = if round >= sweeps { max_bytes - max_bytes / rdo::MARGIN_PART } else { max_bytes };
             // The savings of the next sweep are used now, because a correction after each sweep would cost another pass
             // over the whole picture.
             let taken = if is_late { 0.0 } else { self.shrink * max_bytes as f64 };
@@ -187,8 +155,8 @@ impl<S: IntegerSet> SizeLoop<'_, S> {
 
     /// Sweeps once over the integers of a file of `bytes` bytes.
     fn sweep(&mut self, error: f64, bytes: u64) -> Result<()> {
-        let lambda = SLOPE * error / (8.0 * bytes as f64);
-        let is_quiet = self.set.sweep(lambda)?.is_some_and(|gain| gain < QUIET_GAIN * error);
+        let lambda = rdo::SLOPE * error / (8.0 * bytes as f64);
+        let is_quiet = self.set.sweep(lambda)?.is_some_and(|gain| gain < rdo::QUIET_GAIN * error);
         self.quiet = if is_quiet { self.quiet + 1 } else { 0 };
         Ok(())
     }
@@ -207,7 +175,7 @@ impl<S: IntegerSet> SizeLoop<'_, S> {
     /// Keeps the current integers if they are the best so far.
     fn keep(&mut self, error: f64, bytes: u64, max_bytes: u64) {
         let Some(unused) = max_bytes.checked_sub(bytes) else { return };
-        let fills_size = unused <= (max_bytes / FILLED_PART).max(FILLED_BYTES);
+        let fills_size = unused <= (max_bytes / rdo::FILLED_PART).max(rdo::FILLED_BYTES);
         if self.best.as_ref().is_none_or(|b| (fills_size, b.error) > (b.fills_size, error)) {
             self.best = Some(Best { fills_size, error, snapshot: self.set.snapshot() });
         }

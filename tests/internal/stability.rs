@@ -16,10 +16,10 @@ use super::model::drawing::project::{self, Primitive, Projected};
 use super::model::objective::planes::Planes;
 use super::model::objective::rows::RowSet;
 use super::model::problem::{Problem, Scene};
-use super::plan::LAST_RATE;
 use super::plan::Plan;
-use super::schedule::{RATES, SAMPLED_UNTIL};
+use super::schedule::RATES;
 use super::state::State;
+use crate::constants::fit;
 use crate::depth::Depth;
 use crate::effort::EffortSettings;
 use crate::error::Result;
@@ -256,7 +256,7 @@ struct Every {
 impl Watcher for Every {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.finite &= is_finite(&now.drawing()?.1);
-        if done >= SAMPLED_UNTIL {
+        if done >= fit::SAMPLED_UNTIL {
             self.best = self.best.max(decibels(now.error()?, &self.pixels));
         }
         Ok(())
@@ -340,7 +340,7 @@ fn a_hundred_thousand_iterations_do_not_drift() {
         let mut state = State::new(fitted.expect("the watcher never stops the fit").by.primitives, Bounds::new(12, 11));
         let (mut early, mut late) = (0.0, 0.0);
         for i in 0..100_000 {
-            let error = state.descend(&problem, RowSet::ALL, RATES.scaled(LAST_RATE));
+            let error = state.descend(&problem, RowSet::ALL, RATES.scaled(fit::LAST_RATE));
             assert!(error.is_finite(), "{i}");
             early += if i < 10_000 { error } else { 0.0 };
             late += if i >= 90_000 { error } else { 0.0 };

@@ -146,7 +146,7 @@ fn equal_options_give_equal_bytes() {
 #[test]
 fn bytes_do_not_depend_on_the_thread_count() {
     let pixels = picture(64, 100, Channels::Rgba);
-    // Effort 7 freezes parameters as well, and 80 bytes use several starts.
+    // Effort 7 has the most rounds, and 80 bytes use several starts.
     for (bytes, tune, effort) in [(500, Tune::Psnr, 7), (500, Tune::Ssim, 2), (500, Tune::Iq, 2), (80, Tune::Psnr, 2)] {
         let mut options = quick(Target::Bytes(bytes));
         (options.tune, options.effort) = (Some(tune), effort);

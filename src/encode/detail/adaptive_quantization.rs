@@ -3,18 +3,13 @@
 use super::residual::TileResidual;
 use super::settings::SearchSettings;
 use crate::bitstream::detail::levels::{SUPER, SUPERS, TILE};
+use crate::constants::detail;
 use crate::detail::steps::CLASS_STEPS;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
 /// Side of the squares whose moments are computed, pixels.
 const SQUARE: usize = 8;
-/// Variance of luma that is negligible, code values². It is added to the variance before the logarithm.
-const FLOOR: f32 = 30.0;
-/// Weights of neighbouring squares along one axis.
-const KERNEL: [f32; 5] = [1.0, 3.0, 4.0, 3.0, 1.0];
-/// Steps up to which a layer is fine and from which on it is coarse, 1/64 code value.
-const COARSE: [f64; 2] = [250.0, 600.0];
 /// Class step that leaves the layer's step unchanged, in 1/64.
 const MIDDLE: f32 = 64.0;
 
@@ -44,7 +39,8 @@ fn activity(tile: &TileResidual) -> Vec<f32> {
         *moment = moment.map(|m| m * share);
     }
     let blurred = blur(&blur(&moments, [across, down], [1, 0]), [across, down], [0, 1]);
-    let log = |[mean, square]: [f32; 2]| ((square - mean * mean).max(0.0) + FLOOR).strict_ln();
+    let log =
+        |[mean, square]: [f32; 2]| ((square - mean * mean).max(0.0) + detail::ACTIVITY_VARIANCE_FLOOR).strict_ln();
     let each = SUPER / SQUARE;
     let supers = [across / each, down / each];
     let mut out = vec![0.0; SUPERS * SUPERS];
@@ -62,7 +58,7 @@ fn blur(moments: &[[f32; 2]], [across, down]: [usize; 2], [dx, dy]: [i32; 2]) ->
         .map(|i| {
             let [x, y] = [(i % across) as i32, (i / across) as i32];
             let (mut sum, mut weight) = ([0.0; 2], 0.0);
-            for (k, &w) in KERNEL.iter().enumerate() {
+            for (k, &w) in detail::ACTIVITY_KERNEL.iter().enumerate() {
                 let [u, v] = [x + dx * (k as i32 - 2), y + dy * (k as i32 - 2)];
                 if (0..across as i32).contains(&u) && (0..down as i32).contains(&v) {
                     let m = moments[v as usize * across + u as usize];
@@ -110,7 +106,7 @@ impl Masking {
 
 /// Returns the exponent for a layer with this step. It grows with the logarithm of the step.
 fn power([fine, coarse]: [f32; 2], step: f64) -> f32 {
-    let [from, to] = COARSE.map(f64::strict_ln);
+    let [from, to] = detail::COARSE_LAYER_STEPS.map(f64::strict_ln);
     let share = ((step.strict_ln() - from) / (to - from)).clamp(0.0, 1.0) as f32;
     fine + share * (coarse - fine)
 }
@@ -122,8 +118,11 @@ mod tests {
     #[test]
     fn steps_follow_the_activity_more_closely_in_coarse_layers() {
         let powers = [0.1, 0.2];
-        assert_eq!([1.0, COARSE[0], COARSE[1], 9000.0].map(|step| power(powers, step)), [0.1, 0.1, 0.2, 0.2]);
-        let middle = power(powers, (COARSE[0] * COARSE[1]).sqrt());
+        assert_eq!(
+            [1.0, detail::COARSE_LAYER_STEPS[0], detail::COARSE_LAYER_STEPS[1], 9000.0].map(|step| power(powers, step)),
+            [0.1, 0.1, 0.2, 0.2]
+        );
+        let middle = power(powers, (detail::COARSE_LAYER_STEPS[0] * detail::COARSE_LAYER_STEPS[1]).sqrt());
         assert!((middle - 0.15).abs() < 1e-6, "{middle}");
         let classes = |power: f32| [3.4, 5.0, 6.6].map(|a| Masking { mean: 5.0, power, count: 4 }.class(a));
         assert_eq!([0.05, 0.5].map(classes), [[1, 1, 2], [0, 1, 3]]);

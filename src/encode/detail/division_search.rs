@@ -7,11 +7,13 @@ use std::sync::Arc;
 
 use super::{Layered, error_of_layered, joined, layer, two_steps};
 use crate::bitstream::splats::PackedSplats;
-use crate::encode::allocation::{self, Division, MAX_TRIED_SHARE, keep};
+use crate::constants::allocation::{MAX_TRIED_BASE_SHARE, MIN_BASE_GROWTH};
+use crate::constants::division;
+use crate::encode::allocation::{self, Division, keep};
 use crate::encode::gaussians;
 use crate::encode::input::stored_scene;
 use crate::encode::render::drawn;
-use crate::encode::state::{MIN_BASE_GROWTH, Outcome};
+use crate::encode::state::Outcome;
 use crate::encode::whole::WholePicture;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
@@ -24,26 +26,6 @@ use crate::options::{Detail, Tune};
 use crate::raster::View;
 use crate::rdo::rounded::projected;
 use crate::strict_math::StrictMath;
-
-/// Minimum gain of a larger base, in decibels, that justifies trying the largest one.
-const MIN_GAIN: f64 = 0.22;
-/// Bytes of the layer for which sharpness is measured, relative to those of the base. Findings at a ratio of 50 hold at
-/// other ratios.
-const MEASURED_LAYER: f64 = 1.9;
-/// Factor on the bytes of the Gaussians from one try to the next, for pictures whose texture does not tell how many
-/// they need.
-const TRIED_CHANGE: f64 = 1.6;
-/// Minimum factor between two tries.
-const MIN_CHANGE: f64 = 1.12;
-/// Minimum share of the Gaussians that is tried, relative to the maximum.
-const MIN_TRIED_SHARE: f64 = 0.2;
-/// Maximum of 1 − MS-SSIM after a change of the division, relative to the value before, that justifies the change.
-const MIN_IMPROVEMENT: f64 = 0.98;
-
-/// Maximum of 1 − MS-SSIM of Gaussians alone, relative to that of a file with a layer, at which Gaussians alone have the
-/// higher SSIMULACRA2. MS-SSIM prefers Gaussians alone: with a factor of 1, the choices for twelve photographs of 192 pixels
-/// at four sizes lose 0.5 points more (docs/studies/division.md).
-const MAX_LOSS_OF_GAUSSIANS: f64 = 0.9;
 
 /// Codes a layer over `base`, tries other divisions where they may be better, and writes the file. `is_new` is whether
 /// `base` was fitted for this file.
@@ -85,7 +67,7 @@ fn or_gaussians_alone(picture: &mut WholePicture<'_>, layered: Outcome, division
     let alone = gaussians::of_whole(picture, &division.request_without_layer())?;
     let losses = [ms_ssim_loss(picture, &alone.splats)?, ms_ssim_loss(picture, &layered.splats)?];
     let [Some(loss), Some(loss_of_layered)] = losses else { return Ok(layered) };
-    Ok(if loss < MAX_LOSS_OF_GAUSSIANS * loss_of_layered { alone } else { layered })
+    Ok(if loss < division::MAX_LOSS_OF_GAUSSIANS * loss_of_layered { alone } else { layered })
 }
 
 /// Fits larger bases to a sharp picture, as long as they gain enough, and returns the best result.
@@ -98,7 +80,9 @@ fn with_larger_base(picture: &mut WholePicture<'_>, mut layered: Layered, divisi
         return Ok(layered);
     }
     let max_sharpness = allocation::max_sharpness(&picture.state.settings.allocation, ratio);
-    if sharpness(picture, &layered, few * MEASURED_LAYER)?.is_some_and(|sharpness| sharpness <= max_sharpness) {
+    if sharpness(picture, &layered, few * division::MEASURED_LAYER_BYTES)?
+        .is_some_and(|sharpness| sharpness <= max_sharpness)
+    {
         return Ok(layered);
     }
     for bytes in [(few * most_for_base).sqrt(), most_for_base] {
@@ -110,7 +94,7 @@ fn with_larger_base(picture: &mut WholePicture<'_>, mut layered: Layered, divisi
         if gain > 0.0 {
             layered = other;
         }
-        if gain.is_nan() || gain < MIN_GAIN {
+        if gain.is_nan() || gain < division::MIN_BASE_GAIN {
             break;
         }
     }
@@ -137,22 +121,23 @@ pub(super) fn best_division(
     few: f64,
     division: &Division,
 ) -> Result<(Layered, f64)> {
-    let most = MAX_TRIED_SHARE * division.shared as f64;
+    let most = MAX_TRIED_BASE_SHARE * division.shared as f64;
     let Some(mut dissimilarity) = ms_ssim_loss_of_layered(picture, &first)? else { return Ok((first, few)) };
     let mut best = (first, few);
-    let (up, down) = (TRIED_CHANGE, 1.0 / TRIED_CHANGE);
+    let (up, down) = (division::TRIED_BASE_FACTOR, 1.0 / division::TRIED_BASE_FACTOR);
     for change in if few * up < most { [up, down] } else { [down, up] } {
         let (mut bytes, mut is_better) = (few, false);
         loop {
             let next = (bytes * change).min(most);
-            if (next / bytes).max(bytes / next) < MIN_CHANGE || next < MIN_TRIED_SHARE * most {
+            if (next / bytes).max(bytes / next) < division::MIN_TRIED_FACTOR || next < division::MIN_TRIED_SHARE * most
+            {
                 break;
             }
             bytes = next;
             let base = base(picture, bytes as u64, division, Vec::new())?;
             let other = layer(picture, base, division.max_bytes())?;
             match ms_ssim_loss_of_layered(picture, &other)? {
-                Some(found) if found < MIN_IMPROVEMENT * dissimilarity => {
+                Some(found) if found < division::MAX_LOSS_AFTER_CHANGE * dissimilarity => {
                     (best, dissimilarity, is_better) = ((other, bytes), found, true);
                 }
                 _ => break,

@@ -2,6 +2,7 @@
 
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
+use crate::constants::detail;
 
 /// When and how the blocks of a tile are chosen again.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,16 +32,19 @@ impl MixedBlocks {
     /// They cost as much as others. Only the error counts, wherever it is.
     pub(super) const PLAIN: MixedBlocks =
         MixedBlocks { flat_range: ONE_VALUE, estimate: 1.0, price: 1.0, ringing: None };
-    /// For photographs, whose flat ground has some noise. docs/studies/ringing.md compares these values with others.
+    /// For photographs, whose flat ground has some noise.
     pub(super) const PHOTOGRAPH: MixedBlocks = MixedBlocks {
-        flat_range: 4.0,
-        estimate: 1.15,
-        price: 1.15,
-        ringing: Some(Ringing { least: 3.0, factor: 2.5, rounds: 2 }),
+        flat_range: detail::FLAT_RANGE,
+        estimate: detail::MIXED_COST,
+        price: detail::MIXED_COST,
+        ringing: Some(Ringing {
+            least: detail::MIN_RINGING,
+            factor: detail::RINGING_COST,
+            rounds: detail::RINGING_ROUNDS,
+        }),
     };
-    /// For drawings. The estimate contributes 3.7 and 2.2 SSIMULACRA2 points to the gain of a screenshot and a page at a
-    /// ratio of 100 from the parameters for drawings. With 1.6 and 2, diagrams lose 0.1 to 0.3 points.
-    pub(super) const DRAWING: MixedBlocks = MixedBlocks { estimate: 1.3, ..MixedBlocks::PLAIN };
+    /// For drawings.
+    pub(super) const DRAWING: MixedBlocks = MixedBlocks { estimate: detail::DRAWING_MIXED_COST, ..MixedBlocks::PLAIN };
 }
 
 /// Kind of the plane of alpha.

@@ -30,10 +30,12 @@ use super::whole::WholePicture;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::tile_counts;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::detail;
+use crate::constants::division;
+use crate::constants::fit;
 use crate::effort::LayerSettings;
 use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
 use crate::options::Tune;
 use crate::rdo::rounded::projected;
@@ -49,14 +51,6 @@ use settings::{
 /// Maximum number of pixels for which memory holds the whole residual, at about 30 bytes per pixel. For larger pictures
 /// the encoder computes the residual one part at a time and fits the Gaussians only once.
 pub(super) const LARGEST: u64 = 1 << 26;
-/// Number of sample values of a picture with 16 bits below which its layer is coded for the lowest squared error. The
-/// smallest step is 4 values, and the tuned ones are several times larger at high frequencies.
-const MIN_TUNED_LEVELS: u32 = 2048;
-
-/// Factor between the two steps at which the value of the layer's bytes is measured.
-const COARSER: f64 = 1.5;
-/// Exponent with which the bytes decrease as the step grows, in the range of this measurement.
-const MEASURED_FALL: f64 = 1.4;
 
 /// Gaussians, with a layer over them if there was room for one.
 pub(super) struct Layered {
@@ -132,8 +126,8 @@ fn refined(picture: &WholePicture<'_>, splats: &PackedSplats, layer: &DetailLaye
 /// bytes, or as many as `coded` if that has fewer. The second has a coarser step.
 fn two_steps(picture: &WholePicture<'_>, splats: &PackedSplats, coded: &Coded, bytes: f64) -> [[f64; 2]; 2] {
     let tiles = residuals(picture, splats);
-    let factor = (coded.bytes as f64 / bytes).max(1.0).strict_powf(1.0 / MEASURED_FALL);
-    [factor, factor * COARSER].map(|factor| {
+    let factor = (coded.bytes as f64 / bytes).max(1.0).strict_powf(1.0 / division::COARSER_STEP_EXPONENT);
+    [factor, factor * division::COARSER_STEP].map(|factor| {
         let mut settings = settings_of_layer(picture, coded.bytes);
         let step = f64::from(coded.layer.head.step) * factor;
         settings.coding.head = coded.layer.head;
@@ -173,7 +167,7 @@ fn residuals(picture: &WholePicture<'_>, splats: &PackedSplats) -> Vec<TileResid
 
 /// Returns the tuning of the layer. Contrasts of few levels need the finest steps at all frequencies.
 fn layer_tune(picture: &WholePicture<'_>) -> Tune {
-    let has_few_levels = picture.range.is_some_and(|range| range.levels() < MIN_TUNED_LEVELS);
+    let has_few_levels = picture.range.is_some_and(|range| range.levels() < detail::MIN_TUNED_SAMPLE_VALUES);
     if has_few_levels { Tune::Psnr } else { picture.state.options.favoured() }
 }
 
@@ -181,7 +175,7 @@ fn settings_of_layer(picture: &WholePicture<'_>, max_bytes: u64) -> SearchSettin
     let has_alpha = picture.planes.channels.alpha().is_some();
     // Choosing the blocks at the final step gains 0.02 dB on small pictures. On large ones it gains 0.006 dB and
     // takes the most time.
-    let keeps_blocks = picture.state.pixels() >= LARGE_PIXELS;
+    let keeps_blocks = picture.state.pixels() >= fit::LARGE_PIXELS;
     let LayerSettings { max_shortfall, aims_below, has_priced_blocks, avoids_ringing, .. } =
         picture.state.settings.layer;
     let mut settings = SearchSettings {
@@ -190,7 +184,7 @@ fn settings_of_layer(picture: &WholePicture<'_>, max_bytes: u64) -> SearchSettin
         closeness: Closeness { max_shortfall, below: aims_below },
         ..search_settings(layer_tune(picture), picture.state.channels, has_alpha)
     };
-    if has_priced_blocks && picture.state.pixels() < LARGE_PIXELS {
+    if has_priced_blocks && picture.state.pixels() < fit::LARGE_PIXELS {
         settings.coding.blocks = BlockChoice::Priced;
     }
     if !avoids_ringing {

@@ -11,6 +11,7 @@ use super::settings::{SearchSettings, over_fixed_base, search_settings};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::detail;
 use crate::encode::render::drawn_part;
 use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
@@ -21,11 +22,6 @@ use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::rect::Rect;
 
-/// Number of tiles for each sampled tile. The sample contains at least 8 tiles, or all if there are fewer, and at most
-/// 64. Each takes a megabyte of memory.
-const SAMPLED: usize = 16;
-/// Maximum number of times that the whole picture is coded.
-const RUNS: u32 = 5;
 /// Typical number of times, from which the progress is estimated.
 const EXPECTED: f32 = 2.0;
 
@@ -53,8 +49,9 @@ impl Parts<'_> {
         on_progress(0.0)?;
         let count = self.count();
         let usual = search_settings(self.tune, self.channels, self.source.channels().alpha().is_some());
-        let settings = SearchSettings { max_bytes, max_runs: RUNS, ..over_fixed_base(usual, self.tune) };
-        let sample_size = (count / SAMPLED).clamp(8, 64);
+        let max_runs = detail::MAX_PICTURE_RUNS;
+        let settings = SearchSettings { max_bytes, max_runs, ..over_fixed_base(usual, self.tune) };
+        let sample_size = (count / detail::SAMPLED_TILE_INTERVAL).clamp(8, 64);
         // The positions are independent of rows and columns.
         let place = |k: usize| ((k as u64 * 0x9e37_79b9 & 0xffff_ffff) * count as u64 >> 32) as usize;
         let mut sampled: Vec<usize> =

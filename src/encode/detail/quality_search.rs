@@ -9,10 +9,12 @@ use super::settings::{SearchSettings, for_drawing, search_settings};
 use super::{LARGEST, Layered, is_coded_as_drawing, refined, residual, residuals, settings_of_layer};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::allocation::MIN_BASE_GROWTH;
+use crate::constants::quality;
 use crate::encode::allocation::{self, Division};
 use crate::encode::constant;
 use crate::encode::score_curve::{at_points, halvings};
-use crate::encode::state::{AtQuality, MIN_BASE_GROWTH, Outcome};
+use crate::encode::state::{AtQuality, Outcome};
 use crate::encode::texture::Texture;
 use crate::encode::whole::WholePicture;
 use crate::error::Result;
@@ -24,63 +26,9 @@ use crate::options::{Detail, EncodeOptions, Tune};
 use crate::pixels::Pixels;
 use crate::strict_math::StrictMath;
 
-/// Steps that are assumed for a score until the picture's own are known: the natural logarithm of the step in 1/64 code
-/// value, and points. Pictures differ mostly by a shift along the second axis.
-const TYPICAL_STEPS: [[f64; 2]; 15] = [
-    [2.8, 99.0],
-    [4.25, 95.0],
-    [4.68, 93.0],
-    [4.87, 92.0],
-    [5.19, 90.0],
-    [5.45, 88.0],
-    [5.72, 85.0],
-    [6.11, 80.0],
-    [6.38, 75.0],
-    [6.6, 70.0],
-    [6.92, 60.0],
-    [7.14, 50.0],
-    [7.35, 40.0],
-    [8.05, 0.0],
-    [9.2, -60.0],
-];
-/// Fineness of a picture with these steps, the exponent with which the steps of a photograph fall with the fineness, and
-/// the maximum of that change of their logarithm. They were fitted to 15 photographs of Kodak, CID22 and CLIC at 70
-/// points, whose steps then scatter by a tenth, which is 2.5 points.
-const TYPICAL_FINENESS: f64 = 0.717;
-const FINENESS_POWER: f64 = 0.466;
-const MAX_SHIFT: f64 = 0.5;
-/// Bytes of a typical file, relative to those that the coefficients of the picture suggest.
-const TYPICAL_SHARE: f64 = 0.8;
-/// The same for drawings.
-const DRAWING_SHARE: f64 = 0.3;
-/// Maximum error of one colour for which its score is measured, 1 is white.
-const MAX_FAINT: f64 = 2.0 / 255.0;
-/// Maximum number of fits, which are more than one only if the size of the file was badly predicted.
-const MAX_FITS: usize = 2;
-/// Bytes of a layer in each tile below which the layer is practically empty.
-const EMPTY_TILE_BYTES: usize = 6;
-/// Points by which the layer before a round of descent may miss the score.
-const ROUGHLY: f64 = 2.5;
-/// Points by which the file may miss the score, and by which the search accepts that.
-const TOLERANCE: f64 = 0.5;
-const CLOSE: f64 = 0.4;
-/// Maximum number of layers before a round of descent and after the last one.
-const MAX_ROUGH_TRIES: usize = 4;
-const MAX_TRIES: usize = 7;
-/// Maximum change of the logarithm of the step in one try.
-const MAX_CHANGE: f64 = 1.2;
-/// Minimum difference of two scores that tells how the step changes with the score.
-const MEASURED_CHANGE: f64 = 0.8;
-/// Range of that change, relative to the typical one.
-const STRETCHES: [f64; 2] = [0.5, 3.0];
-/// Parts of the logarithm of the step to which it is rounded, a tenth of a point.
-const PARTS: f64 = 256.0;
-/// Change of the logarithm of the step up to which the blocks of a layer are kept.
-const SAME_BLOCKS: f64 = 0.25;
-
 /// Returns the logarithm of the step with which a typical picture has this score.
 fn typical_step(points: f64) -> f64 {
-    at_points(&TYPICAL_STEPS, points)
+    at_points(&quality::TYPICAL_STEPS, points)
 }
 
 /// A search for the step with which a layer has a score.
@@ -113,7 +61,7 @@ impl StepSearch {
     /// Returns the logarithm of that step. It is rounded, so that the last digits of a score, which depend on the
     /// instruction set, hardly ever change the file.
     fn next_logarithm(&self) -> f64 {
-        (self.expected() * PARTS).round() / PARTS
+        (self.expected() * quality::STEP_PARTS).round() / quality::STEP_PARTS
     }
 
     /// Returns the logarithm of the step at which the score is expected.
@@ -125,7 +73,7 @@ impl StepSearch {
         };
         let beyond = |&[step, score]: &[f64; 2]| {
             let change = self.stretch * (typical_step(self.wanted) - typical_step(score));
-            step + change.clamp(-MAX_CHANGE, MAX_CHANGE)
+            step + change.clamp(-quality::MAX_STEP_CHANGE, quality::MAX_STEP_CHANGE)
         };
         match (nearest(true), nearest(false)) {
             (Some(above), Some(below)) => {
@@ -140,9 +88,10 @@ impl StepSearch {
 
     fn note(&mut self, step: u16, score: f64) {
         let step = f64::from(step).strict_ln();
-        if let Some(last) = self.tried.last().filter(|last| (last[1] - score).abs() > MEASURED_CHANGE) {
+        if let Some(last) = self.tried.last().filter(|last| (last[1] - score).abs() > quality::MIN_MEASURED_DIFFERENCE)
+        {
             let stretch = (step - last[0]) / (typical_step(score) - typical_step(last[1]));
-            self.stretch = stretch.clamp(STRETCHES[0], STRETCHES[1]);
+            self.stretch = stretch.clamp(quality::SLOPE_RANGE[0], quality::SLOPE_RANGE[1]);
         }
         self.tried.push([step, score]);
     }
@@ -171,7 +120,7 @@ struct Tried {
 impl Tried {
     /// Returns how far the score is from `wanted`. Too low a score is worse than any that is too high.
     fn distance(&self, wanted: f64) -> (bool, f64) {
-        (self.score < wanted - TOLERANCE, (self.score - wanted).abs())
+        (self.score < wanted - quality::TOLERANCE, (self.score - wanted).abs())
     }
 }
 
@@ -195,11 +144,13 @@ fn predicted(planes: &Planes, settings: &SearchSettings, texture: Option<Texture
     let tiles = residual::residuals(scene, planes, &[]);
     let is_drawing = texture.is_some_and(|texture| texture.is_drawing());
     let shift = match texture {
-        Some(texture) if !is_drawing => -FINENESS_POWER * (texture.fineness / TYPICAL_FINENESS).strict_ln(),
+        Some(texture) if !is_drawing => {
+            -quality::FINENESS_EXPONENT * (texture.fineness / quality::TYPICAL_FINENESS).strict_ln()
+        }
         _ => 0.0,
     };
-    let step = typical_step(wanted) + shift.clamp(-MAX_SHIFT, MAX_SHIFT);
-    let share = if is_drawing { DRAWING_SHARE } else { TYPICAL_SHARE };
+    let step = typical_step(wanted) + shift.clamp(-quality::MAX_FINENESS_SHIFT, quality::MAX_FINENESS_SHIFT);
+    let share = if is_drawing { quality::TYPICAL_DRAWING_SIZE } else { quality::TYPICAL_SIZE };
     let bytes = share * Magnitudes::of(&tiles, settings).bytes_at(step.strict_exp());
     Prediction {
         step,
@@ -228,8 +179,8 @@ pub(in crate::encode) fn layered_to_quality(picture: &mut WholePicture<'_>, want
     let mut predicted = predicted(&picture.planes, &settings, picture.measured_texture(), wanted);
     picture.state.report.stage("survey", clock);
     let mut seen = Vec::new();
-    for fit in 0..MAX_FITS {
-        match at_prediction(picture, wanted, &predicted, fit + 1 == MAX_FITS)? {
+    for fit in 0..quality::MAX_FITS {
+        match at_prediction(picture, wanted, &predicted, fit + 1 == quality::MAX_FITS)? {
             Attempt::Done(outcome) => return Ok(AtQuality::Done(outcome)),
             Attempt::Other { next, bytes, score } => {
                 predicted = next;
@@ -248,7 +199,7 @@ fn one_colour(picture: &mut WholePicture<'_>, wanted: f64) -> Result<Option<Outc
         return Ok(None);
     }
     let splats = picture.flat();
-    if picture.error_of(&splats) > MAX_FAINT * MAX_FAINT * picture.state.fitted_samples()
+    if picture.error_of(&splats) > quality::MAX_FAINT_ERROR * quality::MAX_FAINT_ERROR * picture.state.fitted_samples()
         || picture.score(&splats)? < wanted
     {
         return Ok(None);
@@ -289,7 +240,7 @@ fn at_prediction(
     }
     let mut found = roughly(picture, &base.splats, &settings, &mut search, &division)?;
     let bytes = (base.bytes.len() as u64 - fixed + found.coded.bytes) as f64;
-    let bytes = if (found.score - wanted).abs() > ROUGHLY {
+    let bytes = if (found.score - wanted).abs() > quality::ROUGH_TOLERANCE {
         bytes * (halvings(found.score) - halvings(wanted)).strict_exp2()
     } else {
         bytes
@@ -364,17 +315,17 @@ fn roughly(
     let first = f64::from(search.next()).strict_ln();
     let mut coder = Coder::new(&tiles, settings, first.strict_exp(), None);
     let mut found = tried(picture, splats, &mut coder, search)?;
-    for _ in 1..MAX_ROUGH_TRIES {
+    for _ in 1..quality::MAX_ROUGH_TRIES {
         let (next, change) = (search.next(), search.next_logarithm() - first);
-        if is_last && change.abs() < SAME_BLOCKS
-            || (found.score - search.wanted).abs() < ROUGHLY
-            || found.score > search.wanted && found.coded.bytes <= (EMPTY_TILE_BYTES * tiles.len()) as u64
+        if is_last && change.abs() < quality::MAX_STEP_CHANGE_WITH_SAME_BLOCKS
+            || (found.score - search.wanted).abs() < quality::ROUGH_TOLERANCE
+            || found.score > search.wanted && found.coded.bytes <= (quality::EMPTY_TILE_BYTES * tiles.len()) as u64
             || picture.state.clock.is_over()
             || search.has_tried(next)
         {
             break;
         }
-        if change.abs() >= SAME_BLOCKS {
+        if change.abs() >= quality::MAX_STEP_CHANGE_WITH_SAME_BLOCKS {
             coder = Coder::new(&tiles, settings, f64::from(next), None);
         }
         found = tried(picture, splats, &mut coder, search)?;
@@ -409,15 +360,18 @@ fn closely(
     mut found: Tried,
 ) -> Result<Tried> {
     let wanted = search.wanted;
-    if (found.score - wanted).abs() <= CLOSE {
+    if (found.score - wanted).abs() <= quality::ACCEPTED_TOLERANCE {
         return Ok(found);
     }
     let tiles = residuals(picture, splats);
     let near = SearchSettings { keeps_blocks: true, ..*settings };
     let step = f64::from(found.coded.layer.head.step);
     let mut coder = Coder::new(&tiles, &near, step, Some(&found.coded));
-    for _ in 0..MAX_TRIES {
-        if (found.score - wanted).abs() <= CLOSE || picture.state.clock.is_over() || search.has_tried(search.next()) {
+    for _ in 0..quality::MAX_LAYER_TRIES {
+        if (found.score - wanted).abs() <= quality::ACCEPTED_TOLERANCE
+            || picture.state.clock.is_over()
+            || search.has_tried(search.next())
+        {
             break;
         }
         let tried = tried(picture, splats, &mut coder, &mut search)?;
@@ -434,11 +388,11 @@ mod tests {
 
     #[test]
     fn the_typical_steps_grow_as_the_score_falls() {
-        assert!(TYPICAL_STEPS.is_sorted_by(|a, b| a[0] < b[0] && a[1] > b[1]));
-        for [step, points] in TYPICAL_STEPS {
+        assert!(quality::TYPICAL_STEPS.is_sorted_by(|a, b| a[0] < b[0] && a[1] > b[1]));
+        for [step, points] in quality::TYPICAL_STEPS {
             assert!((typical_step(points) - step).abs() < 1e-9, "{points}");
         }
-        assert!(typical_step(100.0) < TYPICAL_STEPS[0][0]);
+        assert!(typical_step(100.0) < quality::TYPICAL_STEPS[0][0]);
     }
 
     #[test]
@@ -460,7 +414,7 @@ mod tests {
                     let found = score(step).unwrap();
                     search.note(step, found);
                     tries += 1;
-                    if (found - wanted).abs() <= CLOSE {
+                    if (found - wanted).abs() <= quality::ACCEPTED_TOLERANCE {
                         break;
                     }
                     assert!(tries < 5, "{shift} {slope} {wanted}: {search:?}");

@@ -2,18 +2,8 @@
 //! faster and chroma has relatively finer steps.
 
 use crate::bitstream::detail::DetailHead;
+use crate::constants::detail::Knot;
 use crate::strict_math::StrictMath;
-
-/// The slopes and the steps of chroma at one quantizer step of the layer.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Knot {
-    /// The layer's step, in 1/64 code value.
-    pub step: u16,
-    /// Slopes for luma, grey and alpha, and for chroma.
-    pub slopes: [u8; 2],
-    /// Steps of orange and green chroma relative to that of luma, in sixteenths.
-    pub chroma: [u8; 2],
-}
 
 /// Slopes for every step, interpolated between the knots linearly in the logarithm of the step.
 #[derive(Debug, Clone, Copy)]

@@ -3,6 +3,7 @@
 
 use crate::bitstream::DetailLayer;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::detail;
 use crate::encode::file;
 use crate::encode::input::stored_scene;
 use crate::encode::stored_error::Added;
@@ -14,9 +15,6 @@ use crate::fit::model::problem::Problem;
 use crate::gaussian::Channels;
 use crate::rdo::descend::Descent;
 use crate::rdo::rounded::projected;
-
-/// Number of sweeps per round. The first one finds most improvements.
-const SWEEPS: usize = 2;
 
 /// Returns the target for the Gaussians of `splats` under `layer`: the picture minus the additions of the layer.
 fn rest(target: &Planes, splats: &PackedSplats, layer: &DetailLayer, channels: Channels) -> Planes {
@@ -56,7 +54,7 @@ pub(super) fn descend(
     let quantizer = splats.quantizer();
     let mut descent = Descent::new(problem, &quantizer, Field::default());
     let mut bare = PackedSplats { detail: None, codebook: None, ..splats.clone() };
-    for _ in 0..SWEEPS {
+    for _ in 0..detail::REFINEMENT_SWEEPS {
         let expected = file::expected(&mut bare, levels)?;
         descent.sweep(&mut bare.gaussians, &expected, lambda);
     }

@@ -4,14 +4,10 @@ use super::flat_cells::{Ground, Ringing};
 use super::residual::TileResidual;
 use crate::bitstream::detail::DetailHead;
 use crate::bitstream::detail::levels::{CELL, CELLS, TILE, TileLevels};
+use crate::constants::detail;
 use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
 use crate::gaussian::Channels;
 
-/// Part of the error that the Gaussians alone may have in a cell that rings. If they have more, smaller blocks do not
-/// help.
-const MAX_GAUSSIANS_PART: f32 = 0.8;
-/// Width of the border around a cell over which its mean error is taken, pixels.
-const BORDER: usize = 2;
 /// Values of a plane of a residual in a code value.
 const PARTS: f32 = 16.0;
 
@@ -51,7 +47,7 @@ pub(super) fn ringing_cells(
                 continue;
             }
             let error = deviation(&with, tile.size, [x, y]);
-            if error > ringing.least && deviation(&without, tile.size, [x, y]) < MAX_GAUSSIANS_PART * error {
+            if error > ringing.least && deviation(&without, tile.size, [x, y]) < detail::MAX_BASE_ERROR_SHARE * error {
                 // Lapping spreads the values of the blocks beside it into the cell.
                 for row in [y.saturating_sub(1), y, (y + 1).min(CELLS - 1)] {
                     let columns = if row == y { x.saturating_sub(1)..(x + 2).min(CELLS) } else { x..x + 1 };
@@ -66,8 +62,9 @@ pub(super) fn ringing_cells(
 /// Returns the root of the mean squared difference between the errors in a cell and their mean in and around it.
 fn deviation(errors: &[f32], size: [usize; 2], cell: [usize; 2]) -> f32 {
     let [columns, rows] = [0, 1].map(|i| cell[i] * CELL..(cell[i] + 1) * CELL);
-    let [wide, high] = [(&columns, size[0]), (&rows, size[1])]
-        .map(|(range, end)| range.start.saturating_sub(BORDER)..(range.end + BORDER).min(end));
+    let [wide, high] = [(&columns, size[0]), (&rows, size[1])].map(|(range, end)| {
+        range.start.saturating_sub(detail::RINGING_BORDER)..(range.end + detail::RINGING_BORDER).min(end)
+    });
     let count = wide.len() * high.len();
     let sum: f32 = high.map(|row| errors[row * TILE..][wide.clone()].iter().sum::<f32>()).sum();
     let mean = sum / count as f32;

@@ -5,6 +5,7 @@ use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::levels::{CELL, TILE};
 use crate::bitstream::detail::model::{CLASSES, PLANES};
 use crate::bitstream::detail::scan::SIZES;
+use crate::constants::detail;
 use crate::detail::steps::PlaneSteps;
 use crate::simd::{self, Simd, Task};
 
@@ -127,10 +128,6 @@ pub(super) fn rough_cost(coefficients: &[f32], [x, y]: [usize; 2], size: usize, 
     simd::dispatch(RoughCost { coefficients: &coefficients[y * CELL * TILE + x * CELL..], factors, side: CELL << size })
 }
 
-/// Cost of a level in [`rough_cost`], and the additional cost per step of its magnitude, in squared steps.
-const LEVEL_COST: f32 = 0.5;
-const STEP_COST: f32 = 0.06;
-
 struct RoughCost<'a> {
     coefficients: &'a [f32],
     factors: &'a [f32],
@@ -149,7 +146,8 @@ impl Task for RoughCost<'_> {
             for (c, f) in row.iter().zip(factors[v * side..][..side].as_chunks::<4>().0) {
                 for k in 0..4 {
                     let value = (c[k] * f[k]).abs();
-                    let (error, level) = (value * value, LEVEL_COST + STEP_COST * value);
+                    let (error, level) =
+                        (value * value, detail::ESTIMATED_LEVEL_COST + detail::ESTIMATED_MAGNITUDE_COST * value);
                     sums[k] += if error < level { error } else { level };
                 }
             }

@@ -12,6 +12,7 @@ use super::trellis::{Chosen, choose, priced_blocks};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
+use crate::constants::detail;
 use crate::detail::steps::PlaneSteps;
 use crate::parallel;
 use crate::strict_math::StrictMath;
@@ -24,17 +25,6 @@ pub(super) struct Coded {
     /// Block sizes of each tile, by kind.
     pub sizes: Vec<[Vec<u8>; KINDS]>,
 }
-
-/// Exponent with which the bytes decrease as the step grows, until two runs have measured it.
-const FALL: f64 = 1.05;
-/// Minimum distance between the logarithms of two steps for measuring that exponent.
-const LEAST_CHORD: f64 = 0.004;
-/// Factor on the maximum number of runs while no layer fits.
-const PATIENCE: u32 = 3;
-/// Bits per level that the first guess assumes.
-const LEVEL_BITS: f64 = 5.0;
-/// Magnitude in steps above which a coefficient is likely to have a level.
-const LIKELY: f32 = 0.8;
 
 /// Codes one residual with several steps, in the same blocks.
 pub(super) struct Coder<'a> {
@@ -90,13 +80,13 @@ pub(super) fn smallest_step<E>(
 ) -> Result<Option<Coded>, E> {
     // The largest step that does not fit, the smallest that does, and their bytes, all as logarithms.
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
-    let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
+    let (mut fall, mut last): (f64, Option<[f64; 2]>) = (detail::STEP_EXPONENT, None);
     let mut best: Option<Coded> = None;
     let goal = (settings.max_bytes as f64 * (1.0 - settings.closeness.below)).max(1.0).strict_ln();
     // While no layer fits, the search continues for longer and with growing increments. This happens in pictures whose
     // bytes hardly decrease with a larger step.
     let mut i = 0;
-    while i < settings.max_runs || best.is_none() && i < PATIENCE * settings.max_runs {
+    while i < settings.max_runs || best.is_none() && i < detail::EXTRA_RUNS_FACTOR * settings.max_runs {
         i += 1;
         let rounded = step.round().clamp(1.0, 65_535.0);
         let coded = run(rounded as u16)?;
@@ -117,7 +107,7 @@ pub(super) fn smallest_step<E>(
                 break;
             }
         }
-        if let Some(last) = last.filter(|last| (at[0] - last[0]).abs() > LEAST_CHORD) {
+        if let Some(last) = last.filter(|last| (at[0] - last[0]).abs() > detail::MIN_STEP_DISTANCE) {
             fall = ((last[1] - at[1]) / (at[0] - last[0])).clamp(0.5, 2.0);
         }
         last = Some(at);
@@ -267,7 +257,7 @@ impl Magnitudes {
 
     /// Returns about the step with which a layer takes `bytes` bytes.
     pub(super) fn step_for(&self, bytes: f64) -> f64 {
-        let wanted = bytes * 8.0 / LEVEL_BITS;
+        let wanted = bytes * 8.0 / detail::GUESSED_LEVEL_BITS;
         let mut count = 0.0;
         let mut bin = Self::BINS - 1;
         while bin > 0 {
@@ -278,18 +268,18 @@ impl Magnitudes {
             bin -= 1;
         }
         let value = ((bin as f32 + 1.0 - Self::BINS as f32 / 2.0) / Self::FINE).strict_exp2();
-        (f64::from(value / LIKELY) * f64::from(Self::UNIT)).clamp(8.0, 60_000.0)
+        (f64::from(value / detail::GUESSED_LEVEL_MAGNITUDE) * f64::from(Self::UNIT)).clamp(8.0, 60_000.0)
     }
 
     /// Returns about the bytes of a layer with this step.
     #[cfg(feature = "quality-hook")]
     pub(super) fn bytes_at(&self, step: f64) -> f64 {
-        let value = step * f64::from(LIKELY) / f64::from(Self::UNIT);
+        let value = step * f64::from(detail::GUESSED_LEVEL_MAGNITUDE) / f64::from(Self::UNIT);
         let bin = f64::from(Self::FINE) * value.strict_log2() + Self::BINS as f64 / 2.0;
         let above: f64 = self.counts.iter().skip(bin.ceil().max(0.0) as usize).map(|&n| f64::from(n)).sum();
         // A part of the bin in which the value lies.
         let within = self.counts.get(bin.max(0.0) as usize).map_or(0.0, |&n| f64::from(n) * (bin.ceil() - bin));
-        (above + within) * LEVEL_BITS / 8.0
+        (above + within) * detail::GUESSED_LEVEL_BITS / 8.0
     }
 }
 

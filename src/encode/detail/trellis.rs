@@ -13,20 +13,7 @@ use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLev
 use crate::bitstream::detail::model::{KINDS, Models, PLANES};
 use crate::bitstream::detail::scan::{ROOM, SIZES, STRIDE, at, scan};
 use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds, push};
-
-/// Maximum number of candidates for which a block of each size is compared with smaller blocks by its price.
-const CROWDED: [usize; SIZES] = [usize::MAX, usize::MAX, 40, 48];
-/// Magnitude in steps that the largest coefficient of a block must reach for smaller blocks to be tried. Below it,
-/// smaller blocks have no levels either.
-const QUIET: f32 = 0.45;
-/// Magnitude in steps below which a coefficient starts without a level (dead zone).
-const DEAD: f32 = 0.58;
-/// Maximum number of candidates in a block for which each level is tried individually.
-const MAX_EXACT_LEVELS: usize = 6;
-/// Margin in bits beyond which an estimate is conclusive.
-const DOUBT: f32 = 1.0;
-/// Bits that lowering a level saves in the levels after it. The estimate does not include them.
-const SAVED_BESIDE: f32 = 0.6;
+use crate::constants::detail;
 
 /// The chosen levels of a tile.
 #[derive(Debug)]
@@ -346,7 +333,7 @@ impl<'a> Chooser<'a> {
         self.values.take(coefficients, cell, size, self.factors.of(class, plane, size));
         self.candidates.clear();
         let candidates = &mut self.candidates;
-        self.values.above(DEAD, |u, v, value| {
+        self.values.above(detail::DEAD_ZONE, |u, v, value| {
             candidates.push(Candidate { at: at(u, v) as u16, negative: value < 0.0, value: value.abs() });
         });
         let bucket = self.state.bucket(plane, cell, size);
@@ -355,12 +342,14 @@ impl<'a> Chooser<'a> {
         let mut price = Price::default();
         price.bit(&mut filled.clone(), false);
         let nothing = self.values.energy + lambda * price.bits;
-        let empty = Tried { cost: nothing, is_quiet: self.values.largest < QUIET, ..Tried::default() };
+        let empty =
+            Tried { cost: nothing, is_quiet: self.values.largest < detail::MIN_SPLIT_MAGNITUDE, ..Tried::default() };
         if self.candidates.is_empty() {
             return empty;
         }
         let is_priced = matches!(self.source, Source::All { .. });
-        let is_crowded = is_priced && size > head.sizes(kind)[0] && self.candidates.len() > CROWDED[size];
+        let is_crowded =
+            is_priced && size > head.sizes(kind)[0] && self.candidates.len() > detail::MAX_PRICED_CANDIDATES[size];
         let order = order(size);
         self.candidates.sort_unstable_by_key(|c| std::cmp::Reverse(order[usize::from(c.at)]));
         let mut trial = Trial {
@@ -373,7 +362,7 @@ impl<'a> Chooser<'a> {
             bias: head.biases.map(|bias| f32::from(bias) / 32.0),
         };
         let mut found = trial.rounded(&self.candidates, self.values.energy);
-        let is_many = self.candidates.len() > MAX_EXACT_LEVELS;
+        let is_many = self.candidates.len() > detail::MAX_EXACT_CANDIDATES;
         let doubtful = &mut self.doubtful;
         if is_crowded {
             // The price is not compared with that of other blocks.
@@ -408,16 +397,16 @@ impl<'a> Chooser<'a> {
 fn is_sure(value: f32, level: u32, level_search: LevelSearch) -> bool {
     match (level, level_search) {
         (0, _) => true,
-        (1, LevelSearch::Quick) => value > 1.1,
-        (1, _) => value > 1.5,
-        (_, LevelSearch::Quick) => value - level as f32 > -0.2,
-        (_, _) => value - level as f32 > 0.1,
+        (1, LevelSearch::Quick) => value > detail::QUICK_SURE_ONE,
+        (1, _) => value > detail::SURE_ONE,
+        (_, LevelSearch::Quick) => value - level as f32 > detail::QUICK_SURE_EXCESS,
+        (_, _) => value - level as f32 > detail::SURE_EXCESS,
     }
 }
 
 /// Returns the level of a value without regard to its rate.
 fn rounded(value: f32) -> u32 {
-    ((value + 1.0 - DEAD) as u32).clamp(1, MAX_LEVEL)
+    ((value + 1.0 - detail::DEAD_ZONE) as u32).clamp(1, MAX_LEVEL)
 }
 
 fn signed(level: u32, negative: bool) -> i16 {
@@ -490,12 +479,12 @@ impl Trial<'_> {
                 continue;
             }
             let more = self.error(c.value, level - 1) - self.error(c.value, level);
-            let gain = savings[usize::from(c.at)] + SAVED_BESIDE - more / self.lambda;
-            if gain > DOUBT {
+            let gain = savings[usize::from(c.at)] + detail::SAVED_CONTEXT_BITS - more / self.lambda;
+            if gain > detail::CONCLUSIVE_BITS {
                 self.set(c, level - 1);
                 found.count -= u32::from(level == 1);
                 found.distortion += more;
-            } else if gain > -DOUBT {
+            } else if gain > -detail::CONCLUSIVE_BITS {
                 doubtful.push(*c);
             }
         }

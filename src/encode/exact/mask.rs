@@ -3,35 +3,10 @@
 use super::survey::Survey;
 use crate::bitstream::exact::CELL;
 use crate::bitstream::exact::tile::Shape;
+use crate::constants::exact;
 use crate::gaussian::Channels;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
-
-/// Quantizer step of a transform that looks about as good as a tolerance, relative to the tolerance.
-const STEP_OF_TOLERANCE: f32 = 2.0;
-/// Quantizer step of the colour differences, relative to that of luma.
-const CHROMA_STEP: f32 = 2.5;
-/// Bits of a coefficient for each doubling of its square.
-const BITS_AN_OCTAVE: f32 = 0.75;
-/// Minimum number of cells of photographs in a picture with a mask, and their maximum share of all cells.
-const MIN_NATURAL: usize = 64;
-const MAX_NATURAL_SHARE: f64 = 0.9;
-/// Minimum share of the visible pixels of a picture with alpha that a mask covers.
-const MIN_VISIBLE_SHARE: f64 = 0.15;
-/// Minimum share of the pixels around a cell that differ from all their neighbours in photographs, and in their smooth
-/// parts. Screens and pages have less than 0.6 of them in 99 of 100 cells, and photographs more than 0.68 in half of
-/// their cells and more than 0.39 in 90 of 100.
-const MIN_UNLIKE: f32 = 0.7;
-const MIN_SMOOTH: f32 = 0.3;
-/// Maximum range of luma around a cell in smooth parts of photographs, 8-bit code values.
-const MAX_CONTRAST: f32 = 48.0;
-/// Minimum shares of photographs around a cell that is kept as one, and around one that becomes one.
-const MIN_KEPT: f32 = 0.3;
-const MIN_JOINED: f32 = 0.5;
-/// Bytes of a sample of a photograph without loss that are always needed.
-const MIN_SAMPLE_BYTES: f64 = 0.1;
-/// Number of times that cells join photographs or leave them.
-const ROUNDS: usize = 3;
 
 /// Returns the basis functions of the discrete cosine transform, by frequency.
 fn basis() -> [[f32; CELL]; CELL] {
@@ -75,7 +50,7 @@ fn transform_bits(samples: &Samples, shape: &Shape, cells: &[bool], tolerance: f
         Channels::Rgb => &[0, 1, 2],
         Channels::Rgba => &[0, 1, 2, 3],
     };
-    let step = STEP_OF_TOLERANCE * tolerance;
+    let step = exact::STEP_OF_TOLERANCE * tolerance;
     let bits = |cell: usize| {
         let corner = [cell % across * CELL, cell / across * CELL];
         // Cells at the edges repeat the last column and row.
@@ -90,7 +65,7 @@ fn transform_bits(samples: &Samples, shape: &Shape, cells: &[bool], tolerance: f
             if values.iter().all(|v| v[plane] == first) {
                 continue;
             }
-            let step = if plane == 1 || plane == 2 { CHROMA_STEP * step } else { step };
+            let step = if plane == 1 || plane == 2 { exact::MASK_CHROMA_STEP * step } else { step };
             let mut rows = [[0.0f32; CELL]; CELL];
             for (y, row) in rows.iter_mut().enumerate() {
                 for (k, sum) in row.iter_mut().enumerate() {
@@ -102,7 +77,7 @@ fn transform_bits(samples: &Samples, shape: &Shape, cells: &[bool], tolerance: f
                     if k + i > 0 {
                         let c: f32 = (0..CELL).map(|y| basis[i][y] * rows[y][k]).sum();
                         let ratio = c / step;
-                        bits += BITS_AN_OCTAVE * (1.0 + ratio * ratio).strict_log2();
+                        bits += exact::BITS_PER_OCTAVE * (1.0 + ratio * ratio).strict_log2();
                     }
                 }
             }
@@ -118,13 +93,16 @@ fn natural(samples: &Samples, shape: &Shape) -> Vec<bool> {
     let counts = shape.size.map(|side| side.div_ceil(CELL));
     let unlike = unlike(samples, shape);
     let contrast = contrast(samples, shape);
-    let is_certain = |i: usize| unlike[i] >= MIN_UNLIKE || unlike[i] >= MIN_SMOOTH && contrast[i] <= MAX_CONTRAST;
+    let is_certain = |i: usize| {
+        unlike[i] >= exact::MIN_UNLIKE_SHARE
+            || unlike[i] >= exact::MIN_SMOOTH_UNLIKE_SHARE && contrast[i] <= exact::MAX_SMOOTH_RANGE
+    };
     let mut natural: Vec<bool> = (0..unlike.len()).map(is_certain).collect();
-    for _ in 0..ROUNDS {
+    for _ in 0..exact::MASK_ROUNDS {
         let near = around(&natural.iter().map(|&is_natural| f32::from(is_natural)).collect::<Vec<_>>(), counts, 2);
         let is_natural = |i: usize| match natural[i] {
-            true => near[i] >= MIN_KEPT,
-            false => unlike[i] >= MIN_SMOOTH && near[i] >= MIN_JOINED,
+            true => near[i] >= exact::MIN_KEPT_SHARE,
+            false => unlike[i] >= exact::MIN_SMOOTH_UNLIKE_SHARE && near[i] >= exact::MIN_JOINED_SHARE,
         };
         natural = (0..natural.len()).map(is_natural).collect();
     }
@@ -244,12 +222,12 @@ pub(super) fn cover(survey: &Survey, pixels: &Pixels) -> Cover {
     let cells: Vec<bool> = natural(pixels.samples(), &shape).into_iter().map(|is_natural| !is_natural).collect();
     let others = cells.iter().filter(|&&is_covered| !is_covered).count();
     match survey.channels.alpha() {
-        None if others as f64 > MAX_NATURAL_SHARE * cells.len() as f64 => return Cover::Nothing,
+        None if others as f64 > exact::MAX_PHOTOGRAPH_SHARE * cells.len() as f64 => return Cover::Nothing,
         // Soft shadows and smooth logos look like photographs, and a mask of transparent cells brings nothing.
-        Some(_) if visible_share(pixels.samples(), &shape, &cells) < MIN_VISIBLE_SHARE => return Cover::All,
+        Some(_) if visible_share(pixels.samples(), &shape, &cells) < exact::MIN_VISIBLE_SHARE => return Cover::All,
         _ => {}
     }
-    if others < MIN_NATURAL {
+    if others < exact::MIN_PHOTOGRAPH_CELLS {
         return Cover::All;
     }
     let transform = TOLERANCES.map(|tolerance| {
@@ -271,7 +249,7 @@ impl Mask {
     /// Returns a lower bound of the bytes of a layer that covers the photographs as well, without loss.
     pub(super) fn min_exact_bytes(&self, survey: &Survey) -> f64 {
         let others = self.cells.iter().filter(|&&is_covered| !is_covered).count();
-        (others * CELL * CELL * survey.channels.count()) as f64 * MIN_SAMPLE_BYTES
+        (others * CELL * CELL * survey.channels.count()) as f64 * exact::MIN_SAMPLE_BYTES
     }
 
     /// Returns the share of the cells that are covered.

@@ -4,6 +4,7 @@ use super::mask::Mask;
 use super::{Candidate, Goal, Judge, read};
 use crate::bitstream::splats::PackedSplats;
 use crate::bitstream::to_bytes;
+use crate::constants::exact;
 use crate::encode::channels::widen;
 use crate::encode::clock::Clock;
 use crate::encode::hidden::inpainted;
@@ -15,19 +16,6 @@ use crate::options::{Detail, EncodeOptions, HiddenColors, Thumbnail};
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 use crate::target::Target;
-
-/// Share of the bytes for the Gaussians of photographs.
-pub(super) const BASE_SHARE: f64 = 0.35;
-/// Minimum number of bytes of photographs with a detail layer.
-const MIN_LAYER_BYTES: u64 = 1500;
-
-/// Factor on the iterations of the fit. The continued ground looks like that of a drawing, for which fits are twice as
-/// long. With 0.5, pages lose 0.3 to 1.2 points at equal bytes; with 1, a fit takes 1.4 times as long.
-const ITERATIONS: f32 = 0.7;
-/// Share of the points between a quality and 100 that the photographs, in a picture that is otherwise without loss, have
-/// more. The rest may then have loss as well.
-#[cfg(feature = "quality-hook")]
-const ABOVE: f64 = 0.1;
 
 /// Returns a file of at most `bytes` bytes: `exact`, and Gaussians and a detail layer where it does not cover the picture.
 /// Returns `None` if they do not fit.
@@ -41,7 +29,11 @@ pub(super) fn file(
 ) -> Result<Option<Candidate>> {
     let layer = to_bytes(&exact)?.len() - to_bytes(&PackedSplats { exact: None, ..exact.clone() })?.len();
     let Some(room) = bytes.checked_sub(layer as u64) else { return Ok(None) };
-    let detail = if room >= MIN_LAYER_BYTES { Detail::GaussianShare(BASE_SHARE) } else { Detail::Off };
+    let detail = if room >= exact::MIN_PHOTOGRAPH_LAYER_BYTES {
+        Detail::GaussianShare(exact::PHOTOGRAPH_BASE_SHARE)
+    } else {
+        Detail::Off
+    };
     let options = EncodeOptions { target: Target::Bytes(room), detail, time: clock.left(), ..options.clone() };
     let Some(splats) = photographs(mask, pixels, &options, report)? else { return Ok(None) };
     let file = Candidate::new(PackedSplats { exact: exact.exact, ..splats }, tolerance)?;
@@ -63,10 +55,10 @@ pub(super) fn reaching(
         // The squared errors of all pixels are added.
         Goal::Psnr(psnr) => Target::Psnr(psnr - 10.0 * share.strict_log10()),
         #[cfg(feature = "quality-hook")]
-        Goal::Quality(wanted) => Target::Quality(wanted + ABOVE * (100.0 - wanted)),
+        Goal::Quality(wanted) => Target::Quality(wanted + exact::PHOTOGRAPH_AIM_ABOVE * (100.0 - wanted)),
     };
     // The tolerances are searched for in the other half of the time.
-    let (time, detail) = (clock.left().map(|left| left / 2), Detail::GaussianShare(BASE_SHARE));
+    let (time, detail) = (clock.left().map(|left| left / 2), Detail::GaussianShare(exact::PHOTOGRAPH_BASE_SHARE));
     let options = EncodeOptions { target, detail, time, alternative: Some(0), ..options.clone() };
     photographs(mask, judge.pixels, &options, report)
 }
@@ -81,7 +73,8 @@ fn photographs(
     let filled = continued(pixels, mask, options.hidden, report)?;
     let since = report.seconds();
     let options = EncodeOptions { thumbnail: Thumbnail::Never, cicp: None, icc: None, exif: None, ..options.clone() };
-    let encoded = match encode_whole(&filled, &options, ITERATIONS, &mut |now| (report.progress)(now)) {
+    let encoded = match encode_whole(&filled, &options, exact::PHOTOGRAPH_ITERATIONS, &mut |now| (report.progress)(now))
+    {
         Ok(encoded) => encoded,
         Err(Error::TooSmall { .. }) => return Ok(None),
         Err(error) => return Err(error),

@@ -29,6 +29,9 @@ use super::workers::Executor;
 use super::{steps, thumbnail};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::bitstream::{self, to_bytes};
+use crate::constants::exact;
+#[cfg(feature = "quality-hook")]
+use crate::constants::quality;
 use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
 use crate::metrics;
@@ -43,36 +46,8 @@ use crate::ssimulacra2::{Reference, ssimulacra2};
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
-/// Number of pairs of rows that are looked at to see whether a picture repeats itself.
-const SAMPLED_PAIRS: u32 = 24;
 /// Maximum number of pixels of such a picture. Larger ones may not fit into memory.
 const MAX_TRIED_PIXELS: u64 = 1 << 25;
-/// Minimum share of pixels that equal their left or upper neighbour in a picture for which the layer is tried. Screens,
-/// pages and drawings have .8 to .98, and photographs less than .3 or, if they are dark or out of focus, up to .6.
-const MIN_EQUAL: f64 = 0.35;
-/// Minimum share of these that equal both. Screens, pages and drawings have .69 to .98, and photographs .18 to .58.
-const MIN_BOTH_EQUAL: f64 = 0.65;
-/// Minimum share of pixels with [sharp edges](sharp_edges) in any other picture for which the layer is tried: a page or
-/// screen whose gradients are dithered, or with many photographs. They have 0.002 to 0.005, and photographs less than
-/// 0.0007.
-const MIN_EDGES: f64 = 0.0018;
-/// Largest tolerance of colours with which a file is taken without comparing it with one of Gaussians and a detail layer.
-/// In the worst case that was found, the latter has .2 SSIMULACRA2 points more.
-const MAX_SURE_TOLERANCE: u32 = 2;
-/// Effort of the first file of Gaussians and a detail layer that is compared with near colours.
-const QUICK_EFFORT: u8 = 2;
-/// What a higher effort can gain at most, in decibels: of MS-SSIM or PSNR.
-const MAX_GAIN: f64 = 2.0;
-/// The same in SSIMULACRA2 points, for pages with photographs.
-#[cfg(feature = "quality-hook")]
-const MAX_GAINED_POINTS: f64 = 10.0;
-/// Smallest size of a file of Gaussians and a detail layer relative to its prediction.
-const MIN_PREDICTED: f64 = 0.75;
-/// Size of a file with near colours, relative to that prediction, up to which one fit of Gaussians is enough to compare
-/// it with. A search of several fits would take up to six times as long, for files of a few kilobytes.
-const FEW_BYTES: f64 = 1.5;
-/// Minimum share of the time limit that remains for Gaussians and the detail layer where there is no other file.
-const MIN_TIME: f64 = 0.05;
 
 /// Encodes the picture of `source` without loss.
 ///
@@ -96,21 +71,6 @@ pub(super) fn lossless(
     report.stage("exact layer", since);
     finish(exact, None, options, report)
 }
-
-/// Quality from which on a picture is stored without loss and no other file is tried.
-#[cfg(feature = "quality-hook")]
-const LOSSLESS_QUALITY: f64 = 99.5;
-/// Quality from which on the picture without loss is tried whatever its estimated size.
-#[cfg(feature = "quality-hook")]
-const TRIED_QUALITY: f64 = 97.0;
-/// Smallest size of a picture without loss relative to its estimate.
-#[cfg(feature = "quality-hook")]
-const SMALLEST_LOSSLESS: f64 = 0.7;
-/// Points by which a file may miss a quality, and by which near colours may.
-#[cfg(feature = "quality-hook")]
-const MISSED: f64 = 0.5;
-#[cfg(feature = "quality-hook")]
-const CLOSE: f64 = 0.4;
 
 /// Encodes a picture that is not stored with near colours.
 ///
@@ -142,16 +102,16 @@ fn to_quality(
     executor: Executor<'_>,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    if wanted >= LOSSLESS_QUALITY {
+    if wanted >= exact::LOSSLESS_QUALITY {
         return lossless(source, options, progress);
     }
     let lossy = steps::encode(source, options, executor, progress)?;
-    let is_missed = lossy.report.quality.is_some_and(|found| found < wanted - MISSED);
+    let is_missed = lossy.report.quality.is_some_and(|found| found < wanted - quality::TOLERANCE);
     let seconds = lossy.report.seconds;
     let is_late = options.time.is_some_and(|time| seconds >= time.as_secs_f64());
     let is_tried = is_missed
-        || wanted >= TRIED_QUALITY
-        || SMALLEST_LOSSLESS * survey::estimated_bytes(source)? <= lossy.bytes.len() as f64;
+        || wanted >= exact::LOSSLESS_TRIED_QUALITY
+        || exact::MIN_LOSSLESS_SIZE * survey::estimated_bytes(source)? <= lossy.bytes.len() as f64;
     if is_late || !is_tried {
         return Ok(lossy);
     }
@@ -186,7 +146,7 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
         return Ok(false);
     }
     let (mut either, mut both, mut edges, mut pixels) = (0, 0, 0, 0u64);
-    for rows in sampled_rows(source, SAMPLED_PAIRS) {
+    for rows in sampled_rows(source, exact::SAMPLED_PAIRS) {
         let rows = if options.hidden == HiddenColors::Keep { rows? } else { without_hidden(rows?)? };
         let equal = equal_neighbours(&rows);
         either += equal.iter().filter(|&&[left, above]| left || above).count();
@@ -194,8 +154,9 @@ pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions)
         edges += sharp_edges(&rows, &equal);
         pixels += u64::from(width);
     }
-    let is_repeated = either as f64 >= MIN_EQUAL * pixels as f64 && both as f64 >= MIN_BOTH_EQUAL * either as f64;
-    Ok(is_repeated || edges as f64 >= MIN_EDGES * pixels as f64 || Paper::of(source)?.is_some())
+    let is_repeated =
+        either as f64 >= exact::MIN_EQUAL * pixels as f64 && both as f64 >= exact::MIN_BOTH_EQUAL * either as f64;
+    Ok(is_repeated || edges as f64 >= exact::MIN_EDGES * pixels as f64 || Paper::of(source)?.is_some())
 }
 
 /// Encodes a picture for which an exact layer [is worth trying](is_worth_trying): without loss, with near colours, or
@@ -261,18 +222,20 @@ pub(super) fn encode(
             near.into_iter().chain(exact).min_by_key(|file| file.bytes.len())
         }
     };
-    let time = options.time.map(|time| time.mul_f64((1.0 - report.seconds() / time.as_secs_f64()).max(MIN_TIME)));
+    let time =
+        options.time.map(|time| time.mul_f64((1.0 - report.seconds() / time.as_secs_f64()).max(exact::MIN_TIME_SHARE)));
     let lossy_options = EncodeOptions { time, ..options.clone() };
     let Some(near) = near else { return steps::encode(source, &lossy_options, executor, report.progress) };
-    let is_sure = cleaned.is_none() && near.tolerance <= MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
+    let is_sure = cleaned.is_none() && near.tolerance <= exact::MAX_SURE_TOLERANCE && matches!(goal, Goal::Bytes(_));
     if is_sure || clock.is_over() {
         return finish(near, Some(&pixels), options, report);
     }
     let predicted = goal.predicted_bytes(&pixels, options);
     // Where alpha is soft, photographs take fewer bytes than predicted.
     let is_unpredictable = pixels.channels().alpha().is_some() && !near.splats.gaussians.is_empty();
-    if is_unpredictable || near.bytes.len() as f64 >= MIN_PREDICTED * predicted {
-        let is_close = (near.tolerance > 0 || cleaned.is_some()) && near.bytes.len() as f64 <= FEW_BYTES * predicted;
+    if is_unpredictable || near.bytes.len() as f64 >= exact::MIN_PREDICTED_SIZE * predicted {
+        let is_close = (near.tolerance > 0 || cleaned.is_some())
+            && near.bytes.len() as f64 <= exact::MAX_SINGLE_FIT_SIZE * predicted;
         let alternative = is_close.then_some(near.bytes.len() as u64);
         let lossy_options = EncodeOptions { alternative, ..lossy_options };
         let since = report.seconds();
@@ -300,9 +263,9 @@ fn lossy(
     if let Goal::Bytes(_) = judge.goal {
         let other = dissimilarity(judge.pixels, &near.splats, options)?;
         if EffortSettings::from_preset(options.effort).compares_quickly {
-            let quick = EncodeOptions { effort: QUICK_EFFORT, ..timed(options) };
+            let quick = EncodeOptions { effort: exact::QUICK_EFFORT, ..timed(options) };
             let quick = steps::encode(source, &quick, Executor::Own, progress)?;
-            if dissimilarity(judge.pixels, &read(&quick.bytes)?, options)? > other + MAX_GAIN {
+            if dissimilarity(judge.pixels, &read(&quick.bytes)?, options)? > other + exact::MAX_EFFORT_GAIN {
                 return Ok(None);
             }
             if clock.is_over() {
@@ -328,7 +291,7 @@ fn lossy(
     if let Goal::Quality(wanted) = judge.goal
         && EffortSettings::from_preset(options.effort).compares_quickly
         && !near.splats.gaussians.is_empty()
-        && judge.score(&of_same_size(QUICK_EFFORT)?)? < wanted - MAX_GAINED_POINTS
+        && judge.score(&of_same_size(exact::QUICK_EFFORT)?)? < wanted - exact::MAX_EFFORT_GAIN_POINTS
     {
         return Ok(None);
     }
@@ -338,7 +301,7 @@ fn lossy(
     let lossy = steps::encode(source, &timed(options), executor, progress)?;
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
-        && found < wanted - MISSED
+        && found < wanted - quality::TOLERANCE
     {
         return Ok(None);
     }
@@ -448,7 +411,7 @@ impl<'a> Judge<'a> {
             Goal::Bytes(_) => true,
             Goal::Psnr(psnr) => metrics::psnr(self.pixels, &drawn()?)? >= psnr,
             #[cfg(feature = "quality-hook")]
-            Goal::Quality(quality) => self.score(splats)? >= quality - CLOSE,
+            Goal::Quality(quality) => self.score(splats)? >= quality - exact::NEAR_COLOR_TOLERANCE,
         })
     }
 

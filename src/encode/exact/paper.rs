@@ -1,28 +1,10 @@
 //! Finds pages whose paper has noise, as scanners and cameras make them, and removes that noise.
 
 use super::survey::sampled_rows;
+use crate::constants::exact;
 use crate::error::Result;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Pixels, Samples};
-
-/// Number of pairs of rows that are looked at.
-const SAMPLED_PAIRS: u32 = 32;
-/// Largest difference of paper from its most frequent level, 8-bit code values.
-const MAX_NOISE: u32 = 16;
-/// Differences that are certainly noise, from which its standard deviation is measured.
-const CERTAIN_NOISE: u32 = 8;
-/// Noise is removed up to this many standard deviations from the level of the paper.
-const DEVIATIONS: f64 = 3.5;
-/// Smallest difference of ink from the paper, and smallest step of an edge, 8-bit code values.
-const CONTRAST: u32 = 80;
-const EDGE: u32 = 48;
-/// Minimum shares of the pixels of a page that are paper, ink, and edges. At most 0.3 of the pixels of photographs are as
-/// close to their most frequent level as paper is.
-const MIN_PAPER: f64 = 0.5;
-const MIN_INK: f64 = 0.005;
-const MIN_EDGES: f64 = 0.005;
-/// Maximum share of the pixels that equal their left neighbour on paper with noise.
-const MAX_EQUAL: f64 = 0.3;
 
 /// Paper with noise.
 #[derive(Debug, Clone, Copy)]
@@ -60,13 +42,13 @@ impl Paper {
         let level = |pixel: &[u32; 4]| pixel[..colors].iter().sum::<u32>() / (colors as u32 * unit);
         let (mut levels, mut samples) = ([0u64; 256], vec![[0u64; 256]; colors]);
         let (mut edges, mut equal, mut all) = (0u64, 0u64, 0u64);
-        for rows in sampled_rows(source, SAMPLED_PAIRS) {
+        for rows in sampled_rows(source, exact::PAPER_SAMPLED_PAIRS) {
             let (mut before, mut at) = (None::<[u32; 4]>, 0);
             each_pixel(&rows?, |pixel| {
                 levels[level(&pixel) as usize] += 1;
                 samples.iter_mut().zip(pixel).for_each(|(counts, v)| counts[(v / unit) as usize] += 1);
                 if let Some(before) = before.filter(|_| at % source.size()[0] > 0) {
-                    edges += u64::from(level(&before).abs_diff(level(&pixel)) >= EDGE);
+                    edges += u64::from(level(&before).abs_diff(level(&pixel)) >= exact::MIN_INK_EDGE);
                     equal += u64::from(before == pixel);
                 }
                 (before, at) = (Some(pixel), at + 1);
@@ -83,16 +65,16 @@ impl Paper {
                 .sum()
         };
         let least = |share: f64| (share * all as f64) as u64;
-        let is_page = within(0, CERTAIN_NOISE) > least(MIN_PAPER)
-            && within(CONTRAST, 255) > least(MIN_INK)
-            && edges > least(MIN_EDGES)
-            && equal < least(MAX_EQUAL);
+        let is_page = within(0, exact::CERTAIN_PAPER_NOISE) > least(exact::MIN_PAPER_SHARE)
+            && within(exact::MIN_INK_CONTRAST, 255) > least(exact::MIN_INK_SHARE)
+            && edges > least(exact::MIN_INK_EDGE_SHARE)
+            && equal < least(exact::MAX_EQUAL_ON_PAPER);
         if !is_page {
             return Ok(None);
         }
         let color: [u32; 4] = std::array::from_fn(|k| samples.get(k).map_or(0, most_frequent));
         let deviation = samples.iter().zip(color).map(|(counts, v)| deviation(counts, v)).fold(0.0, f64::max);
-        let noise = ((DEVIATIONS * deviation).ceil() as u32).clamp(1, MAX_NOISE) * unit;
+        let noise = ((exact::PAPER_NOISE_DEVIATIONS * deviation).ceil() as u32).clamp(1, exact::MAX_PAPER_NOISE) * unit;
         Ok(Some(Paper { color: color.map(|v| v * unit), noise }))
     }
 
@@ -125,7 +107,7 @@ fn most_frequent(counts: &[u64; 256]) -> u32 {
 fn deviation(counts: &[u64; 256], level: u32) -> f64 {
     let noise = counts.iter().zip(0u32..).map(|(&n, v)| (n as f64, f64::from(v.abs_diff(level))));
     let (sum, n) = noise
-        .filter(|&(_, d)| d <= f64::from(CERTAIN_NOISE))
+        .filter(|&(_, d)| d <= f64::from(exact::CERTAIN_PAPER_NOISE))
         .fold((0.0, 0.0), |(sum, all), (n, d)| (sum + n * d * d, all + n));
     (sum / n).sqrt()
 }

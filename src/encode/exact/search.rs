@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use super::mask::Mask;
-use super::mixed::BASE_SHARE;
-use super::survey::{SIDES, Survey};
-use super::{Candidate, Goal, Judge, MAX_SURE_TOLERANCE, mixed};
+use super::survey::Survey;
+use super::{Candidate, Goal, Judge, mixed};
 use crate::bitstream::ExactLayer;
 use crate::bitstream::exact::near::approximate;
 use crate::bitstream::exact::tile::Shape;
 use crate::bitstream::exact::{ExactTile, tile_area};
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::exact;
 use crate::encode::clock::Clock;
 use crate::encode::report::ReportBuilder;
 use crate::encode::thumbnail;
@@ -21,22 +21,6 @@ use crate::parallel;
 use crate::pixels::Pixels;
 use crate::strict_math::StrictMath;
 
-/// Largest tolerance, in 8-bit code values. With larger ones, letters lose their shape.
-const MAX_TOLERANCE: u32 = 48;
-/// Tolerance of the first try.
-const FIRST_TOLERANCE: u32 = 8;
-/// Power of the tolerance with which the bytes fall, before two tries show it.
-const FALL: f64 = 0.5;
-/// Size of a file without loss, relative to the requested one, up to which photographs in a page may have near colours as
-/// well, within [`MAX_SURE_TOLERANCE`].
-const ALMOST_FITS: f64 = 1.4;
-/// Minimum share of the room that a layer fills with which the search ends. A smaller tolerance would gain little.
-const MIN_FILLED: f64 = 0.97;
-/// Number of tries for a layer that is partly without loss, and the share of the room that those after the first aim at.
-const PARTLY_EXACT_TRIES: u32 = 4;
-const AIMED: f64 = 0.98;
-/// The search for a quality ends when the tolerances that reach it and miss it differ by less than one in this many.
-const MIN_STEP: u32 = 8;
 /// Bytes that the parts of a file take besides the streams of the exact layer.
 const FILE_BYTES: u64 = 48;
 
@@ -63,19 +47,21 @@ pub(super) fn near(
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Candidate>> {
     let since = report.seconds();
-    let masked = mask.map(|mask| ExactLayer::of(shown, SIDES[0], |x, y| mask.covers([x, y])));
+    let masked = mask.map(|mask| ExactLayer::of(shown, exact::TILE_SIDES[0], |x, y| mask.covers([x, y])));
     let layer = masked.as_ref().unwrap_or(&survey.layer);
     let found = match *judge.goal {
         Goal::Bytes(bytes) => {
             let bytes = bytes.saturating_sub(thumbnail::reserved(options, survey.size, bytes));
-            if mask.is_some() && exact.is_some_and(|exact| exact as f64 <= ALMOST_FITS * bytes as f64) {
-                let found = fitting(survey, &survey.layer, None, (bytes, MAX_SURE_TOLERANCE), (clock, report))?;
+            if mask.is_some()
+                && exact.is_some_and(|exact| exact as f64 <= exact::MAX_NEAR_PHOTOGRAPH_SIZE * bytes as f64)
+            {
+                let found = fitting(survey, &survey.layer, None, (bytes, exact::MAX_SURE_TOLERANCE), (clock, report))?;
                 if let Some((layer, tolerance)) = found {
                     report.stage("exact layer", since);
                     return Candidate::new(survey.file(layer, options), tolerance).map(Some);
                 }
             }
-            fitting(survey, layer, mask, (bytes, MAX_TOLERANCE), (clock, report))?.map(|found| (found, bytes))
+            fitting(survey, layer, mask, (bytes, exact::MAX_TOLERANCE), (clock, report))?.map(|found| (found, bytes))
         }
         _ => {
             // Photographs take most of the time.
@@ -111,16 +97,18 @@ fn fitting(
     let room = bytes.saturating_sub(FILE_BYTES) as f64;
     // The largest tolerance that does not fit, and the smallest that does.
     let (mut too_small, mut best) = (0, None::<(Approximation, u32)>);
-    let (mut next, mut last, mut power) = (FIRST_TOLERANCE.min(most), None::<[f64; 2]>, FALL);
+    let (mut next, mut last, mut power) =
+        (exact::FIRST_TOLERANCE.min(most), None::<[f64; 2]>, exact::TOLERANCE_EXPONENT);
     loop {
         report.stage_progress("exact layer", too_small as f32 / most as f32)?;
         let start = Instant::now();
         let tried = approximated(survey, layer, next, None);
         let has_time = clock.left().is_none_or(|left| left > start.elapsed());
-        let bytes = tried.bytes + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32) / (1.0 - BASE_SHARE));
+        let bytes = tried.bytes
+            + mask.map_or(0.0, |mask| mask.transform_bytes(next as f32) / (1.0 - exact::PHOTOGRAPH_BASE_SHARE));
         let logs = [f64::from(next), bytes / room].map(|v| v.strict_ln());
         if bytes <= room {
-            let is_filled = bytes >= MIN_FILLED * room;
+            let is_filled = bytes >= exact::MIN_FILLED * room;
             best = Some((tried, next));
             if is_filled {
                 break;
@@ -143,7 +131,8 @@ fn fitting(
         }
         // The bytes fall with a power of the tolerance, which is that between the last two tries.
         if let Some([tolerance, bytes]) = last {
-            power = ((bytes - logs[1]) / (logs[0] - tolerance)).clamp(FALL / 4.0, 4.0 * FALL);
+            power = ((bytes - logs[1]) / (logs[0] - tolerance))
+                .clamp(exact::TOLERANCE_EXPONENT / 4.0, 4.0 * exact::TOLERANCE_EXPONENT);
         }
         last = Some(logs);
         let wanted = (logs[0] + logs[1] / power).strict_exp().ceil();
@@ -175,7 +164,7 @@ fn partly_exact(
     // Contexts repeat less at the borders of the cells, so that the layer is larger than the sum of its cells. The next
     // try aims at less, by what the last one shows.
     let mut aim = room;
-    for _ in 0..PARTLY_EXACT_TRIES {
+    for _ in 0..exact::PARTLY_EXACT_TRIES {
         let mut missing = 8.0 * (exact.bytes - aim);
         let mut kept: Vec<Vec<bool>> = exact.bits.iter().map(|bits| vec![true; bits.len()]).collect();
         for &(bits, tile, cell) in &saved {
@@ -192,7 +181,7 @@ fn partly_exact(
         if clock.is_over() {
             break;
         }
-        let share = (AIMED * room - coarse.bytes) / (found.bytes - coarse.bytes);
+        let share = (exact::PARTLY_EXACT_AIM * room - coarse.bytes) / (found.bytes - coarse.bytes);
         aim = coarse.bytes + share.clamp(0.0, 1.0) * (aim - coarse.bytes);
     }
     None
@@ -208,11 +197,11 @@ fn reaching(
     options: &EncodeOptions,
     (clock, report): (&Clock, &mut ReportBuilder<'_>),
 ) -> Result<Option<Candidate>> {
-    let (mut reaches, mut misses, mut best) = (0, MAX_TOLERANCE + 1, None);
-    let mut next = FIRST_TOLERANCE;
+    let (mut reaches, mut misses, mut best) = (0, exact::MAX_TOLERANCE + 1, None);
+    let mut next = exact::FIRST_TOLERANCE;
     // Finer steps hardly change the size.
-    while reaches + 1 < misses && reaches * MIN_STEP < misses * (MIN_STEP - 1) {
-        report.stage_progress("exact layer", reaches as f32 / MAX_TOLERANCE as f32)?;
+    while reaches + 1 < misses && reaches * exact::TOLERANCE_RESOLUTION < misses * (exact::TOLERANCE_RESOLUTION - 1) {
+        report.stage_progress("exact layer", reaches as f32 / exact::MAX_TOLERANCE as f32)?;
         let start = Instant::now();
         let layer = approximated(survey, layer, next, None).layer;
         let splats = match photographs {

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::bitstream::exact::{self, ExactTile};
+use crate::bitstream::exact::{ExactTile, tile_area, tile_counts};
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::bitstream::{ExactLayer, to_bytes};
+use crate::constants::exact;
 use crate::encode::hidden::hides_colors;
 use crate::encode::input;
 use crate::encode::render::check_opens;
@@ -20,10 +21,6 @@ use crate::pixels::{Depth, Pixels, Samples};
 use crate::rect::Rect;
 #[cfg(feature = "quality-hook")]
 use crate::strict_math::StrictMath;
-
-/// Logarithms of the tiles' sides: for pictures in which neighbouring pixels are often equal, which gain from
-/// repetitions far away, and for all others, which gain from parallel decoding.
-pub(super) const SIDES: [u8; 2] = [11, 9];
 
 /// A picture as the tiles of an exact layer.
 pub(super) struct Survey {
@@ -49,12 +46,12 @@ impl Survey {
         report: &mut ReportBuilder<'_>,
     ) -> Result<Survey> {
         let size = source.size();
-        let tiles = exact::tile_counts(size, SIDES[0]);
+        let tiles = tile_counts(size, exact::TILE_SIDES[0]);
         let mut parts = Vec::new();
         let (mut equal, mut pixels, mut sums, mut has_hidden) = (0, 0u64, [0; 4], false);
         for i in 0..tiles[0] * tiles[1] {
             report.stage_progress("survey", i as f32 / (tiles[0] * tiles[1]) as f32)?;
-            let [x, y, width, height] = exact::tile_area(size, SIDES[0], i).map(|v| v as u32);
+            let [x, y, width, height] = tile_area(size, exact::TILE_SIDES[0], i).map(|v| v as u32);
             let part = source.part(Rect::new(x, y, width, height))?;
             let part = if options.hidden == HiddenColors::Keep { part } else { without_hidden(part)? };
             has_hidden |= options.hidden != HiddenColors::Keep && hides_colors(&part);
@@ -67,13 +64,13 @@ impl Survey {
             report.note(SkipReason::HiddenColors, 0, 0.0);
         }
         let first = parts[0].part(Rect::new(0, 0, 1, 1))?;
-        let side = SIDES[usize::from(2 * equal < pixels)];
-        let count = exact::tile_counts(size, side);
+        let side = exact::TILE_SIDES[usize::from(2 * equal < pixels)];
+        let count = tile_counts(size, side);
         let tile = |i: usize| {
-            let [x, y, width, height] = exact::tile_area(size, side, i);
-            let part = &parts[(y >> SIDES[0]) * tiles[0] + (x >> SIDES[0])];
-            let corner = [x, y].map(|v| (v % (1 << SIDES[0])) as u32);
-            let samples = match side == SIDES[0] {
+            let [x, y, width, height] = tile_area(size, side, i);
+            let part = &parts[(y >> exact::TILE_SIDES[0]) * tiles[0] + (x >> exact::TILE_SIDES[0])];
+            let corner = [x, y].map(|v| (v % (1 << exact::TILE_SIDES[0])) as u32);
+            let samples = match side == exact::TILE_SIDES[0] {
                 true => part.samples().clone(),
                 false => part.part(Rect::new(corner[0], corner[1], width as u32, height as u32))?.into_samples(),
             };
@@ -92,7 +89,7 @@ impl Survey {
 
     /// Returns the file of the layer that stores the picture without loss.
     pub(super) fn into_file(mut self, options: &EncodeOptions) -> PackedSplats {
-        let layer = std::mem::replace(&mut self.layer, ExactLayer { side: SIDES[0], tiles: Vec::new() });
+        let layer = std::mem::replace(&mut self.layer, ExactLayer { side: exact::TILE_SIDES[0], tiles: Vec::new() });
         self.file(layer, options)
     }
 
@@ -114,10 +111,6 @@ pub(super) fn sampled_rows(source: &dyn PixelSource, pairs: u32) -> impl Iterato
         source.part(Rect::new(0, y.min(height - 2), width, 2))
     })
 }
-
-/// Number of pairs of rows from which the bytes of a picture are estimated.
-#[cfg(feature = "quality-hook")]
-const ESTIMATED_PAIRS: u32 = 32;
 
 /// Estimates the bytes of a picture without loss from the differences of some samples from their neighbours.
 ///
@@ -144,7 +137,7 @@ pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
     }
     let [width, height] = source.size();
     let (mut sum, mut samples) = (0.0, 0.0);
-    for rows in sampled_rows(source, ESTIMATED_PAIRS) {
+    for rows in sampled_rows(source, exact::ESTIMATED_PAIRS) {
         let rows = rows?;
         let count = rows.channels().count();
         sum += match rows.samples() {
@@ -252,10 +245,6 @@ pub(super) fn equal_neighbours(rows: &Pixels) -> Vec<[bool; 2]> {
 /// Returns the number of sharp edges after runs of equal pixels in the second of two rows. `equal` is what
 /// [`equal_neighbours`] returns for them.
 pub(super) fn sharp_edges(rows: &Pixels, equal: &[[bool; 2]]) -> usize {
-    /// Minimum number of equal pixels before an edge.
-    const RUN: usize = 4;
-    /// Minimum difference of luma within two pixels, of the range of sample values.
-    const MIN_DIFFERENCE: f32 = 0.16;
     let (count, width) = (rows.channels().count(), equal.len());
     let value = |i: usize| match rows.samples() {
         Samples::U8(v) => f32::from(v[i]) / 255.0,
@@ -273,7 +262,7 @@ pub(super) fn sharp_edges(rows: &Pixels, equal: &[[bool; 2]]) -> usize {
         }
         let ground = luma(x - 1);
         let difference = (luma(x) - ground).abs().max((luma((x + 1).min(width - 1)) - ground).abs());
-        edges += usize::from(run >= RUN && difference >= MIN_DIFFERENCE);
+        edges += usize::from(run >= exact::MIN_EDGE_RUN && difference >= exact::MIN_EDGE_DIFFERENCE);
         run = 1;
     }
     edges

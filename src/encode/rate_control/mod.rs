@@ -15,6 +15,7 @@ use super::skipped::SkipReason;
 use super::state::{FitRequest, Outcome};
 use super::thumbnail;
 use crate::bitstream::sections::{SECTION_COUNT_BYTES, section_bytes};
+use crate::constants::rate_control;
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::rdo::size::Size;
@@ -22,19 +23,14 @@ use crate::strict_math::StrictMath;
 use crate::target::Target;
 use search::{Curve, Known, ScoreGoal, Search};
 
-/// Compression ratio of [`Target::Auto`] where the default quality is not measured. It is that of a typical photograph
-/// with this quality.
-const AUTO_RATIO: f64 = 25.0;
-
-/// Minimum number of bytes for the primitives of [`Target::Auto`], enough for about twenty.
-const MIN_AUTO_BYTES: u64 = 80;
-
 /// Returns the requested size of the file without its metadata. `fixed` is the size of the file without primitives and
 /// metadata, in bytes.
 pub(super) fn picture_size(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
     let metadata = metadata_bytes(options);
     match options.target {
-        Target::Auto => Size::Bytes(((samples / AUTO_RATIO) as u64).max(fixed + MIN_AUTO_BYTES)),
+        Target::Auto => {
+            Size::Bytes(((samples / rate_control::AUTO_RATIO) as u64).max(fixed + rate_control::MIN_AUTO_BYTES))
+        }
         Target::Ratio(ratio) => Size::Bytes(((samples / ratio).floor() as u64).saturating_sub(metadata)),
         Target::Bytes(bytes) => Size::Bytes(bytes.saturating_sub(metadata)),
         Target::Primitives(_) | Target::Psnr(_) | Target::Lossless => Size::Free,
@@ -184,15 +180,9 @@ fn smallest<C: Curve>(
     Ok(best.expect("one try at least"))
 }
 
-/// Minimum size that a search tries, bytes.
-const MIN_TRIED_BYTES: f64 = 64.0;
-/// Maximum size that a search tries, as a multiple of the raw bytes. Noise takes more than the raw bytes.
-const MAX_TRIED: f64 = 2.0;
-/// Lower bound of that maximum, for pictures of a few pixels, bytes.
-const MAX_TRIED_BYTES: f64 = 512.0;
-
 /// Returns the smallest and the largest size that a search tries for a picture of `raw` samples, as binary logarithms
 /// of bytes per sample.
 fn sizes_tried(raw: f64) -> [f64; 2] {
-    [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).strict_log2())
+    [rate_control::MIN_TRIED_BYTES, (rate_control::MAX_TRIED_SIZE * raw).max(rate_control::MIN_LARGEST_TRIED_BYTES)]
+        .map(|bytes| (bytes / raw).strict_log2())
 }

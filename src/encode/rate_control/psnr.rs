@@ -2,6 +2,7 @@
 
 use super::search::{Curve, Known, ScoreGoal, Try};
 use super::{EncodeAt, SearchPlan, smallest};
+use crate::constants::rate_control;
 use crate::encode::prepared::Prepared;
 use crate::encode::prune::prune;
 use crate::encode::state::{Outcome, decibels};
@@ -10,18 +11,6 @@ use crate::options::Needs;
 use crate::parameter::Parameter;
 use crate::strict_math::StrictMath;
 
-/// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
-const MAX_TRIES: usize = 8;
-/// Number of parts of the time budget: one for each of four tries, and one for pruning. Most searches take at most four
-/// tries.
-const TIMED_PARTS: u32 = 5;
-/// The search ends when the PSNR of a file exceeds the requested PSNR by less than this, in decibels.
-const TOLERANCE: f64 = 0.1;
-/// Margin above the requested PSNR that tries aim at, in decibels.
-const AIM_ABOVE: f64 = 0.05;
-/// Compression ratio of the first try.
-const FIRST_RATIO: f64 = 50.0;
-
 /// PSNR of a typical picture, up to a constant. In small files, doubling the bytes adds 2.5 dB. In large files, each
 /// further bit per sample adds 6 dB. Kodak gains 2.8 dB from a ratio of 100 to 50, and another 4.7 dB to 20.
 struct Decibels;
@@ -29,7 +18,7 @@ struct Decibels;
 impl Decibels {
     /// Returns the approximate PSNR at a size, relative to other sizes.
     fn at(size: f64) -> f64 {
-        2.5 * size + 6.0 * 8.0 * size.strict_exp2()
+        rate_control::DECIBELS_PER_DOUBLING * size + 6.0 * 8.0 * size.strict_exp2()
     }
 
     /// Returns the size for a PSNR as returned by [`at`](Self::at).
@@ -47,7 +36,7 @@ impl Decibels {
 impl Curve for Decibels {
     fn size(&self, _: f64) -> f64 {
         // Pictures differ too much for an estimate, so all searches start at the same ratio.
-        -FIRST_RATIO.strict_log2()
+        -rate_control::FIRST_PSNR_RATIO.strict_log2()
     }
 
     fn beyond(&self, tried: Try, wanted: f64) -> f64 {
@@ -64,11 +53,22 @@ impl Curve for Decibels {
 /// Encodes to a PSNR of `wanted` decibels over the samples of all channels.
 pub(super) fn to_psnr(prepared: &mut Prepared<'_>, wanted: f64, encode_at: EncodeAt) -> Result<Outcome> {
     let raw = prepared.state().samples();
-    let goal =
-        ScoreGoal { required: wanted, aimed: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
-    let plan = SearchPlan { curve: Decibels, goal, timed_parts: TIMED_PARTS, known: Known::default(), encode_at };
+    let goal = ScoreGoal {
+        required: wanted,
+        aimed: wanted + rate_control::PSNR_AIM_ABOVE,
+        sizes: super::sizes_tried(raw),
+        tries: rate_control::MAX_PSNR_TRIES,
+    };
+    let plan = SearchPlan {
+        curve: Decibels,
+        goal,
+        timed_parts: rate_control::PSNR_TIME_PARTS,
+        known: Known::default(),
+        encode_at,
+    };
     let score = |prepared: &mut Prepared<'_>, outcome: &Outcome| Ok(decibels(prepared.error(&outcome.splats)?, raw));
-    let is_close = |_: &Prepared<'_>, reached: f64, _: &Outcome| (0.0..TOLERANCE).contains(&(reached - wanted));
+    let is_close =
+        |_: &Prepared<'_>, reached: f64, _: &Outcome| (0.0..rate_control::PSNR_TOLERANCE).contains(&(reached - wanted));
     let (reached, mut best) = smallest(prepared, plan, score, is_close)?;
     if reached < wanted {
         if prepared.state().options.time.is_some() {

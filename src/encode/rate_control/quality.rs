@@ -3,25 +3,16 @@
 use super::search::{Curve, Known, ScoreGoal, Try};
 use super::{EncodeAt, SearchPlan, smallest};
 use crate::bitstream;
+use crate::constants::quality;
 use crate::encode::detail::quality_search::layered_to_quality;
 use crate::encode::prepared::Prepared;
 use crate::encode::render::own_limits;
-use crate::encode::score_curve::{AIM_ABOVE, halvings};
+use crate::encode::score_curve::halvings;
 use crate::encode::state::{AtQuality, Outcome};
 use crate::encode::trim::trim;
 use crate::error::Result;
 use crate::strict_math::StrictMath;
 
-/// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
-const MAX_TRIES: usize = 6;
-/// Number of parts of the time budget: one for each of three tries, and one for trimming.
-const TIMED_PARTS: u32 = 4;
-/// Points by which a file may miss the requested score.
-const TOLERANCE: f64 = 0.5;
-/// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
-const MAX_TRIMMED: f64 = 4.0;
-/// Expected size of a file, relative to another file that reaches the score, up to which it is searched for.
-const MAX_EXPECTED: f64 = 0.7;
 /// The typical curve, shifted along the sizes to match a picture. Pictures differ from it mostly by such a shift.
 struct Points;
 
@@ -58,17 +49,22 @@ pub(super) fn to_quality(prepared: &mut Prepared<'_>, wanted: f64, encode_at: En
         AtQuality::Unknown => Known::default(),
     };
     let sizes = super::sizes_tried(samples);
-    let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
-    let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS, known, encode_at };
+    let goal = ScoreGoal {
+        required: wanted - quality::TOLERANCE,
+        aimed: wanted + quality::AIM_ABOVE,
+        sizes,
+        tries: quality::MAX_FILE_TRIES,
+    };
+    let plan = SearchPlan { curve: Points, goal, timed_parts: quality::TIME_PARTS, known, encode_at };
     let score = |prepared: &mut Prepared<'_>, outcome: &Outcome| prepared.score(&outcome.splats);
     let is_close = |prepared: &Prepared<'_>, score: f64, outcome: &Outcome| {
-        let above = if can_be_trimmed(prepared, outcome) { MAX_TRIMMED } else { TOLERANCE };
-        (-TOLERANCE..=above).contains(&(score - wanted))
+        let above = if can_be_trimmed(prepared, outcome) { quality::MAX_TRIMMED_POINTS } else { quality::TOLERANCE };
+        (-quality::TOLERANCE..=above).contains(&(score - wanted))
     };
     let (found, mut outcome) = smallest(prepared, plan, score, is_close)?;
     outcome.quality = Some(found);
     if let Prepared::Whole(picture) = prepared
-        && found > wanted + AIM_ABOVE
+        && found > wanted + quality::AIM_ABOVE
     {
         trim(picture, &mut outcome, wanted)?;
     }
@@ -91,7 +87,7 @@ fn can_be_trimmed(prepared: &Prepared<'_>, outcome: &Outcome) -> bool {
 
 /// Returns whether a search that is expected to end with this many bytes will hardly find a smaller file than another one.
 fn is_hopeless(alternative: Option<u64>, expected: f64) -> bool {
-    alternative.is_some_and(|bytes| expected > MAX_EXPECTED * bytes as f64)
+    alternative.is_some_and(|bytes| expected > quality::MAX_EXPECTED_SIZE * bytes as f64)
 }
 
 /// Measures the score of the file. A decoder renders the Gaussians in the order of the file, which changes the last bits.
@@ -123,18 +119,23 @@ mod tests {
             p + (q - p) * (at - a) / (b - a)
         };
         for wanted in [30.0, 50.0, 70.0, 85.0] {
-            let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted, sizes: [-9.0, 0.0], tries: MAX_TRIES };
+            let goal = ScoreGoal {
+                required: wanted - quality::TOLERANCE,
+                aimed: wanted,
+                sizes: [-9.0, 0.0],
+                tries: quality::MAX_FILE_TRIES,
+            };
             let mut search = Search::new(Points, goal);
             let (mut tries, mut points) = (0, 0.0);
             while let Some(size) = search.next() {
                 points = measured(-size);
                 search.note(size, points);
                 tries += 1;
-                if (points - wanted).abs() < TOLERANCE {
+                if (points - wanted).abs() < quality::TOLERANCE {
                     break;
                 }
             }
-            assert!((points - wanted).abs() < TOLERANCE && tries <= 3, "{wanted}: {points} after {tries}");
+            assert!((points - wanted).abs() < quality::TOLERANCE && tries <= 3, "{wanted}: {points} after {tries}");
         }
     }
 }

@@ -4,6 +4,8 @@
 //! scatter from fit to fit. The bracket is the smallest file that reached the score and the largest smaller file that
 //! did not.
 
+use crate::constants::rate_control;
+
 /// Model of how the score of a typical picture grows with the size of its file.
 pub(super) trait Curve {
     /// Returns the size at which a typical picture has this score.
@@ -35,18 +37,6 @@ pub(super) struct ScoreGoal {
     /// Maximum number of tries once a file has reached the score.
     pub tries: usize,
 }
-
-/// Number of failed tries after which the largest size is tried.
-const SMALLER: usize = 5;
-/// Width of the bracket at which the search ends, as a binary logarithm: 1 % of the size.
-const NARROW: f64 = 0.014;
-/// Minimum step out of an open bracket after the first try, and its growth with each further try.
-const MIN_STEP: f64 = 0.05;
-const STEP_GROWTH: f64 = 3.0;
-/// Maximum of that step.
-const MAX_STEP: f64 = 4.5;
-/// Minimum distance of a try from the ends of the bracket, as a fraction of its width, because scores scatter.
-const INSIDE: f64 = 0.1;
 
 /// What is known of a picture before a search.
 #[derive(Debug, Clone, Default)]
@@ -95,7 +85,7 @@ impl<C: Curve> Search<C> {
             (None, None) => inside(self.first.unwrap_or_else(|| self.curve.size(self.goal.aimed))),
             // The largest file is not good enough.
             (Some(low), None) if low.size >= largest && self.count() > 0 => None,
-            (Some(_), None) if self.count() >= SMALLER => Some(largest),
+            (Some(_), None) if self.count() >= rate_control::MAX_FAILED_TRIES => Some(largest),
             (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.goal.aimed) - low.size)),
             // One file is good enough, and no tries remain.
             (_, Some(_)) if self.count() >= self.goal.tries => None,
@@ -103,16 +93,20 @@ impl<C: Curve> Search<C> {
             (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.goal.aimed))),
             (Some(low), Some(high)) => {
                 let width = high.size - low.size;
-                let at = self.curve.between(low, high, self.goal.aimed).max(low.size + INSIDE * width);
-                (width >= NARROW || self.count() == 0).then(|| at.min(high.size - INSIDE * width))
+                let at = self
+                    .curve
+                    .between(low, high, self.goal.aimed)
+                    .max(low.size + rate_control::MIN_BRACKET_MARGIN * width);
+                (width >= rate_control::MIN_BRACKET || self.count() == 0)
+                    .then(|| at.min(high.size - rate_control::MIN_BRACKET_MARGIN * width))
             }
         }
     }
 
     /// Returns the step out of an open bracket for an `expected` step of the curve.
     fn step(&self, expected: f64) -> f64 {
-        let least = MIN_STEP * STEP_GROWTH.powi(self.tries.len() as i32 - 1);
-        if expected.is_finite() { expected.clamp(least, MAX_STEP) } else { least }
+        let least = rate_control::MIN_OPEN_STEP * rate_control::OPEN_STEP_GROWTH.powi(self.tries.len() as i32 - 1);
+        if expected.is_finite() { expected.clamp(least, rate_control::MAX_OPEN_STEP) } else { least }
     }
 
     /// Returns the ends of the bracket: the largest failed try below the smallest successful one, and the smallest
@@ -192,10 +186,13 @@ mod tests {
     #[test]
     fn a_search_fails_only_after_the_largest_size() {
         let (tried, good) = search(90.0, |size| 20.0 + size);
-        assert!(good.is_none() && tried.last() == Some(&SIZES[1]) && tried.len() <= SMALLER + 1, "{tried:?}");
+        assert!(
+            good.is_none() && tried.last() == Some(&SIZES[1]) && tried.len() <= rate_control::MAX_FAILED_TRIES + 1,
+            "{tried:?}"
+        );
         // The smallest file is good enough.
         let (tried, good) = search(10.0, |size| 90.0 + size);
-        assert!(good == Some(SIZES[0]) && tried.len() <= SMALLER + 3, "{tried:?}");
+        assert!(good == Some(SIZES[0]) && tried.len() <= rate_control::MAX_FAILED_TRIES + 3, "{tried:?}");
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::task::FloatWork;
 use super::wire::{self, PendingTile, WireFormat};
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::tiles;
 use crate::encode::fit_whole::sufficient_error;
 use crate::encode::primitive_count::{bytes_per_primitive, count_in};
 use crate::encode::state::{FitRequest, decibels};
@@ -29,21 +30,13 @@ use crate::quantize::Quantizer;
 use crate::rdo::rounded;
 use crate::rdo::size::Size;
 
-/// Width of the margin around a tile, in multiples of the scale of a typical primitive.
-const MARGIN_SCALES: f64 = 12.0;
 /// Maximum number of tiles that are processed at a time, if there are as many threads. Each tile takes memory. Callers
 /// choose tiles smaller than the default to save memory, so these are processed one by one.
 const MAX_CONCURRENT: usize = 4;
-/// Maximum fraction of the primitives that are replaced by candidates, possibly in other tiles, at once.
-const MAX_SWAPPED: f64 = 0.2;
-/// Fraction of the time for Gaussians that their float fit may use.
-const FIT_TIME: f64 = 0.7;
-/// Maximum number of primitives from which the step sizes are derived. More primitives would not change them.
-pub(super) const MAX_SAMPLED: usize = 1 << 20;
 
 /// Returns the layout of tiles of `side` pixels for a picture of `count` primitives.
 fn grid_of(scene: &Scene, count: usize, side: u32) -> Grid {
-    let margin = (MARGIN_SCALES * f64::from(scene.typical_scale(count))) as u32;
+    let margin = (tiles::MARGIN_SCALES * f64::from(scene.typical_scale(count))) as u32;
     let margin = margin.next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
     Grid { size: [scene.width, scene.height], half: side / 2, margin }
 }
@@ -221,8 +214,8 @@ impl TiledFit<'_, '_, '_> {
     fn fit(&mut self, mosaic: &mut Mosaic<'_, Primitive>) -> Result<f64> {
         let clock = self.picture.state.report.seconds();
         let windows = self.grid.windows();
-        let time = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(FIT_TIME));
-        let mut last = floats::ALONE;
+        let time = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(tiles::FIT_TIME_SHARE));
+        let mut last = tiles::ALONE_SHARE;
         self.give_time(time.map(|time| time.mul_f32(last)), windows.len());
         // In the first pass, no tile depends on another.
         let initial_count = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
@@ -243,7 +236,7 @@ impl TiledFit<'_, '_, '_> {
                 count_in(max_bytes, self.fixed as f64, each, have).min(2 * self.global.settings.count)
             }
         };
-        mosaic.balance(&mut candidates, wanted, (MAX_SWAPPED * have as f64) as usize);
+        mosaic.balance(&mut candidates, wanted, (tiles::MAX_SWAPPED_SHARE * have as f64) as usize);
         for (pass, (to, shift)) in floats::JOINED.iter().enumerate() {
             self.give_time(time.map(|time| time.mul_f32(to - last)), windows.len());
             last = *to;
@@ -299,7 +292,7 @@ impl TiledFit<'_, '_, '_> {
 
     /// Returns the average number of bytes per primitive in the file.
     fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
-        let every = mosaic.count() / MAX_SAMPLED + 1;
+        let every = mosaic.count() / tiles::MAX_SAMPLED_PRIMITIVES + 1;
         let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.primitive).collect();
         let quantizer = self.set_steps(&some, error);
         let blank = &mut self.global.blank;

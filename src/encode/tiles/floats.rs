@@ -5,7 +5,9 @@ use super::grid::{Shift, Window};
 use super::mosaic::{Placed, TileResult, WindowPrimitives};
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
-use crate::encode::primitive_count::{CODED_BITS, excess};
+use crate::constants::rate_control;
+use crate::constants::tiles;
+use crate::encode::primitive_count::excess;
 use crate::error::Result;
 use crate::fit::engine::{Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
@@ -20,13 +22,11 @@ use crate::fit::multi_start::{self, Start};
 use crate::fit::state::State;
 use crate::rdo::rounded::Rounded;
 
-/// Fraction of the iterations in which each tile is fitted alone. At that point, fits of many primitives relocate
-/// hardly any, and the steps are still large enough to close the seams.
-pub(super) const ALONE: f32 = 0.5;
 /// The later passes: the fraction of the iterations at which each of them ends, and the position of its tiles.
-pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::None), (1.0, Shift::Half)];
-/// Number of candidate primitives that are searched for in a tile, as a fraction of the primitives in the tile.
-const CANDIDATES: f32 = 0.25;
+pub(super) const JOINED: [(f32, Shift); 3] = {
+    let [first, second, last] = tiles::JOINED_UNTIL;
+    [(first, Shift::Half), (second, Shift::None), (last, Shift::Half)]
+};
 
 /// Progress callback. It receives the fraction of the work that is done; an error stops the work.
 pub(super) type OnProgress<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
@@ -45,11 +45,15 @@ pub(super) fn begin(
     let price = Some(Price {
         problem,
         draft: global.draft(&window.padded),
-        bits: count as f64 * CODED_BITS * excess(global.settings.count),
+        bits: count as f64 * rate_control::CODED_BITS * excess(global.settings.count),
     });
-    let mut watcher =
-        TileFitWatcher { on_progress, from: 0.0, to: ALONE, price: price.filter(|_| global.settings.is_priced) };
-    let range = from..share(ALONE, plan.iterations);
+    let mut watcher = TileFitWatcher {
+        on_progress,
+        from: 0.0,
+        to: tiles::ALONE_SHARE,
+        price: price.filter(|_| global.settings.is_priced),
+    };
+    let range = from..share(tiles::ALONE_SHARE, plan.iterations);
     let state = global.device.steps(&job, global.source.depth(), state, (rng, range), &mut watcher)?;
     Ok(appraise(&problem, &state.primitives, window))
 }
@@ -65,7 +69,7 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
     let mut field = Field::default();
     field.draw(problem, &projected, RowSet::ALL, Output::Picture);
     let costs = removal::costs(problem, &field, RowSet::ALL, &projected);
-    let count = (primitives.len() as f32 * CANDIDATES) as usize;
+    let count = (primitives.len() as f32 * tiles::CANDIDATE_SHARE) as usize;
     let candidates = peaks(problem, &field, RowSet::ALL, count, primitives.len());
     let placed = |p: Primitive, cost: f32| Placed { primitive: moved(p, window.padded.origin()), cost };
     let is_own = |p: &Placed<Primitive>| window.core.holds(p.primitive.mean);
@@ -92,7 +96,7 @@ pub(super) fn join(
     };
     let mut state = State::new(local(own), Bounds::new(window.padded.size[0], window.padded.size[1]));
     state.frozen = local(neighbours);
-    let from = if pass > 0 { JOINED[pass - 1].0 } else { ALONE };
+    let from = if pass > 0 { JOINED[pass - 1].0 } else { tiles::ALONE_SHARE };
     let to = JOINED[pass].0;
     let mut watcher = TileFitWatcher { on_progress, from, to, price: None };
     let rng = multi_start::random(&plan);

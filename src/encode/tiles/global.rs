@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::grid::{Area, Window};
 use crate::bitstream::splats::PackedSplats;
+use crate::constants::fit;
 use crate::effort::EffortSettings;
 use crate::encode::device::Choice;
 use crate::error::Result;
@@ -156,7 +157,7 @@ impl GlobalContext<'_> {
         let area = f64::from(planes.width) * f64::from(planes.height);
         let global = f64::from(self.scene.width) * f64::from(self.scene.height);
         let busy = sample::detail(planes, self.room()) / self.detail;
-        let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / global;
+        let share = fit::DETAIL_SHARE * busy + (1.0 - fit::DETAIL_SHARE) * area / global;
         // A tile never has more primitives than pixels, whatever the settings say about the whole picture.
         ((self.settings.count as f64 * share).round() as usize).min(area as usize)
     }

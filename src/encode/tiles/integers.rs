@@ -4,6 +4,7 @@ use super::global::GlobalContext;
 use super::grid::Window;
 use super::mosaic::{Placed, TileResult, WindowPrimitives};
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::constants::tiles;
 use crate::encode::file;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output, error_within};
@@ -12,10 +13,6 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::quantize::Quantizer;
 use crate::rdo::descend::Descent;
 use crate::rdo::size::{self, Worth};
-
-/// Number of candidate primitives that are searched for in a tile: a fraction of the primitives in the tile, plus a
-/// constant.
-const CANDIDATES: (f32, usize) = (0.06, 8);
 
 /// A window and its integers, in the window's own coordinates.
 pub(super) struct Part<'a> {
@@ -109,7 +106,7 @@ impl<'a> Part<'a> {
 
 /// Returns the number of candidate primitives to search for in a tile of `own` primitives.
 pub(super) fn candidate_count(own: usize) -> usize {
-    (own as f32 * CANDIDATES.0) as usize + CANDIDATES.1
+    (own as f32 * tiles::INTEGER_CANDIDATE_SHARE) as usize + tiles::MIN_INTEGER_CANDIDATES
 }
 
 /// Direction of a conversion: into a part, or out of it.

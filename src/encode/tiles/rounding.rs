@@ -1,17 +1,19 @@
 //! From the fitted floats of all tiles to integers of a requested file size.
 
-use super::fit::{FittedTiles, MAX_SAMPLED, ProgressRange, TiledFit};
+use super::fit::{FittedTiles, ProgressRange, TiledFit};
 use super::grid::{Shift, Window};
 use super::mosaic::{Mosaic, Placed, TileResult};
 use super::picture::TiledPicture;
 use super::task::IntegerWork;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::constants::rdo;
+use crate::constants::tiles;
 use crate::encode::file;
 use crate::encode::state::{FitRequest, Outcome};
 use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
 use crate::rdo::size::{Correction, Size, correction};
-use crate::rdo::size_loop::{IntegerSet, MIN_SWEEPS, SizeSchedule, bring_to_size, trim};
+use crate::rdo::size_loop::{IntegerSet, SizeSchedule, bring_to_size, trim};
 
 /// Rounds Gaussians to a file of the requested size without a detail layer.
 ///
@@ -26,7 +28,7 @@ pub(in crate::encode) fn quantize<'a>(
     let FittedTiles { primitives, error: float_error, grid, global, until } = fitted;
     let fixed = picture.state.fixed()?;
     let mut fit = TiledFit { picture, grid, global, size: request.size, fixed, until };
-    let sample = primitives.iter().copied().step_by(primitives.len() / MAX_SAMPLED + 1);
+    let sample = primitives.iter().copied().step_by(primitives.len() / tiles::MAX_SAMPLED_PRIMITIVES + 1);
     let quantizer = fit.set_steps(&sample.collect::<Vec<Primitive>>(), float_error);
     let to_gaussian = |p: &PackedGaussian| quantizer.dequantize(p);
     let mut mosaic = Mosaic::new(&grid, &to_gaussian);
@@ -39,7 +41,7 @@ pub(in crate::encode) fn quantize<'a>(
         Some(layer) => (Size::Free, Size::Bytes(layer.max_bytes)),
         None => (request.size, request.size),
     };
-    let sweeps = fit.global.plan().sweeps.max(MIN_SWEEPS);
+    let sweeps = fit.global.plan().sweeps.max(rdo::MIN_SWEEPS);
     let schedule = SizeSchedule { size, sweeps, descends: true, enough: 0.0, deadline: until };
     let progress = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
     let mut integers = TiledIntegers {

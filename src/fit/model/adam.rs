@@ -1,5 +1,6 @@
 //! Adam in the whitened local frame of each Gaussian.
 
+use crate::constants::fit;
 use crate::fit::model::drawing::field::{Frame, Gradient};
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::objective::rows::RowSet;
@@ -66,20 +67,8 @@ impl Rates {
 /// Returns the decay rates of the first and second moments for a fit of `steps` steps. In short fits each step goes
 /// further, so earlier gradients become outdated sooner.
 pub(crate) fn decay(steps: f32) -> [f32; 2] {
-    match steps {
-        ..150.0 => [0.7, 0.9],
-        150.0..500.0 => [0.8, 0.9],
-        _ => [0.9, 0.95],
-    }
+    fit::DECAYS[fit::DECAY_STEPS.iter().filter(|&&limit| steps >= limit).count()]
 }
-
-/// Regularizer on area: penalizes total support by 0.1 % of the mean squared error per covered pixel. Without it
-/// Gaussians pile up where the picture is smooth.
-const PRICE: f64 = 1e-3;
-
-/// Pixels per primitive from which on the full price applies. Where primitives are denser, their number already limits
-/// their size, and a higher price would harm texture.
-const FULL_PRICE_PIXELS: f64 = 128.0;
 
 /// Returns half the price for a Gaussian of scales 1, where `count` Gaussians have the squared error `error` over the
 /// rows `rows`. It is half the price because gradients are those of half the squared error.
@@ -88,15 +77,7 @@ pub(crate) fn price(error: f64, [width, height]: [u32; 2], rows: RowSet, count: 
     let pixels_each = pixels(height.into()) / count.max(1) as f64;
     let support = std::f64::consts::PI * f64::from(CUTOFF) * f64::from(CUTOFF);
     let error = error / pixels(rows.count(height) as u64).max(1.0);
-    (0.5 * PRICE * (pixels_each / FULL_PRICE_PIXELS).min(1.0) * support * error) as f32
-}
-
-/// The parameters of a primitive that may change.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Freedom {
-    #[default]
-    All,
-    Color,
+    (0.5 * fit::AREA_PRICE * (pixels_each / fit::FULL_PRICE_PIXELS).min(1.0) * support * error) as f32
 }
 
 /// First and second moments of one primitive's gradient.
@@ -116,7 +97,6 @@ pub(crate) fn update(
     p: &mut Primitive,
     m: &mut AdamMoments,
     g: &Gradient,
-    free: Freedom,
     bounds: &Bounds,
     rates: Rates,
     [c1, c2]: [f32; 2],
@@ -143,9 +123,6 @@ pub(crate) fn update(
     }
     for k in 0..4 {
         p.color[k] = (p.color[k] + rates.color * d[5 + k]).clamp(-4.0, 4.0);
-    }
-    if free == Freedom::Color {
-        return;
     }
     let (u, v) = (rates.mean * d[0] * sx, rates.mean * d[1] * sy);
     p.mean[0] += cos * u - sin * v;

@@ -1,12 +1,10 @@
 //! The problem that a fit solves: a target picture, and how primitives are rendered.
 
+use crate::constants::fit;
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, Gaussian};
 use crate::strict_math::StrictMath;
-
-/// Number of pixels from which on a picture counts as large. Smaller pictures are fast enough to process completely.
-pub const LARGE_PIXELS: u64 = 1 << 21;
 
 /// How primitives are rendered: picture size, blend and background.
 #[derive(Debug, Clone, Copy)]
@@ -20,7 +18,7 @@ pub struct Scene {
 impl Scene {
     /// Returns whether the picture is so large that passes over it skip rows.
     pub fn is_large(&self) -> bool {
-        self.pixels() >= LARGE_PIXELS
+        self.pixels() >= fit::LARGE_PIXELS
     }
 
     /// Returns the number of pixels.
@@ -36,9 +34,11 @@ impl Scene {
 
     /// Returns the distance of sampled rows for `count` Gaussians, such that each Gaussian covers a few.
     pub fn row_step(&self, count: usize) -> u32 {
-        // Sampling fewer rows for large Gaussians would save more time, but each of a few primitives matters.
         let typical = self.typical_scale(count);
-        (f32::min(0.9 * typical, 1.6 * typical.strict_powf(0.6)) as u32).clamp(1, 16).min(self.height)
+        (f32::min(fit::ROW_STEP_PER_SCALE * typical, fit::ROW_STEP_FACTOR * typical.strict_powf(fit::ROW_STEP_EXPONENT))
+            as u32)
+            .clamp(1, 16)
+            .min(self.height)
     }
 }
 

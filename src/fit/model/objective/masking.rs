@@ -5,30 +5,17 @@
 //! quarter and an eighth of its size. There, an error `e` in surroundings of variance `σ²` costs about `e² / (2σ² +
 //! C₂)`.
 
+use crate::constants::fit;
 use crate::fit::model::objective::blur::Cells;
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::structure::{FLOOR, normalized};
+use crate::fit::model::objective::structure::normalized;
 use crate::fit::model::placing::sample::halve;
 use crate::gaussian::Channels;
 use crate::parallel;
 use crate::strict_math::quick_powf;
 
-/// Exponent of the inverse where primitives are dense. On kodim05, 13 and 23 at a ratio of 50, exponents of 0.5, 0.7
-/// and 0.9 gained about 7, 8 and 10 points of SSIMULACRA2 for 0.1, 0.2 and 0.5 dB. With 0.9, Butteraugli was worse than
-/// without weights.
-const POWER: f32 = 0.7;
-/// Pixels per primitive above which the exponent falls with their square root, so that files of few primitives lose at
-/// most 0.3 dB as well.
-const DENSE_PIXELS: f32 = 400.0;
 /// Number of sizes that are analysed: full size, half and quarter. They have equal weight.
 pub(crate) const SIZES: usize = 3;
-/// Luma weights of red, green and blue: about the share of each in perceived lightness.
-pub(crate) const LUMA: [f32; 3] = [0.25, 0.6, 0.15];
-
-/// Weights of squared errors in red, green and blue, with a mean of 1. An error in green changes SSIMULACRA2 ten times
-/// as much as the same error in blue, and three times as much as in red. Weights that far apart would lose 0.15 dB and
-/// gain less than these, because lightness is coded for all three channels at once.
-const CHANNELS: [f32; 3] = [0.8, 1.6, 0.6];
 
 /// Mean weight at each size, before normalization to a mean of 1.
 pub(crate) type Means = [f64; SIZES];
@@ -47,7 +34,7 @@ pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
 pub(crate) fn channel_amplitude(channels: Channels) -> [f32; 4] {
     let mut amplitude = [1.0; 4];
     if channels.count() >= 3 {
-        amplitude[..3].copy_from_slice(&CHANNELS.map(f32::sqrt));
+        amplitude[..3].copy_from_slice(&fit::CHANNEL_WEIGHTS.map(f32::sqrt));
     }
     amplitude
 }
@@ -67,7 +54,7 @@ pub(crate) fn means_of_part(target: &Planes, pixels_each: f32) -> Means {
 /// the means of the whole picture.
 fn weights(target: &Planes, pixels_each: f32, whole: Option<&Means>) -> (Vec<f32>, Means) {
     let (width, height) = (target.width as usize, target.height as usize);
-    let power = POWER * (pixels_each / DENSE_PIXELS).max(1.0).sqrt().recip();
+    let power = fit::MASKING_EXPONENT * (pixels_each / fit::MASKING_DENSE_PIXELS).max(1.0).sqrt().recip();
     let mut means = [0.0; SIZES];
     let mut weights = vec![0.0f32; width * height];
     let mut sizes = vec![[width, height]];
@@ -101,7 +88,7 @@ fn luma(target: &Planes) -> Vec<f32> {
     parallel::map_chunks(&mut plane, width, |y, out| {
         let row = target.row(y as u32);
         for (x, o) in out.iter_mut().enumerate() {
-            *o = (0..3).map(|k| LUMA[k] * row[k * target.stride + x]).sum();
+            *o = (0..3).map(|k| fit::LUMA_WEIGHTS[k] * row[k * target.stride + x]).sum();
         }
     });
     plane
@@ -129,7 +116,7 @@ fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32, scratch: &
     let mut weights = soften(plane.iter().map(|v| v * v).collect(), &mut scratch.spare);
     let sums = parallel::map_chunks(&mut weights, width, |y, out| {
         for (w, m) in out.iter_mut().zip(&means[y * width..]) {
-            *w = quick_powf(2.0 * (*w - m * m).max(0.0) + FLOOR, -power);
+            *w = quick_powf(2.0 * (*w - m * m).max(0.0) + fit::STRUCTURE_VARIANCE_FLOOR, -power);
         }
         out.iter().map(|&w| f64::from(w)).sum::<f64>()
     });

@@ -4,35 +4,20 @@
 //! most of its score from the fourth norm of the lost structure at full size, and from its mean at a quarter and an
 //! eighth of that size. Each pixel's share of that score, divided by its share of the weighted squared error, is the
 //! worth of a lower error there. It varies by a factor of ten across a picture. Equal worth everywhere would be optimal
-//! for the score, but would cost too many decibels, so [`POWER`] applies only a part of it.
+//! for the score, but would cost too many decibels, so [`fit::WORTH_EXPONENT`] applies only a part of it.
 //!
 //! [`masking`]: crate::fit::model::objective::masking
 
+use crate::constants::fit;
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::objective::blur::blur;
-use crate::fit::model::objective::masking::{LUMA, pixels_each, upsampled};
+use crate::fit::model::objective::masking::{pixels_each, upsampled};
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::structure::normalized;
 use crate::fit::model::placing::sample::halve;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Exponent of the worth where primitives are dense. It is as large as possible without losing the decibels that the
-/// probe fit gains at a ratio of 50.
-const POWER: f32 = 0.8;
-/// Pixels per primitive above which the exponent falls with their square root. With few primitives, Butteraugli, which
-/// is dominated by the worst place, would lose more and more.
-const DENSE_PIXELS: f32 = 65.0;
-/// Minimum worth before the exponent. With a lower one, errors would grow in places where no other term counts them.
-const MIN_WORTH: f32 = 1.0;
-/// Maximum worth before the exponent.
-const MAX_WORTH: f32 = 6.0;
-/// Weights in the score of the mean and the fourth norm of the loss at each size of the picture, from full size on,
-/// each half the previous one. They are SSIMULACRA2's own weights for luma.
-const SIZES: [[f32; 2]; 4] = [[0.0, 7.47], [0.0, 6.68], [225.2, 19.2], [176.4, 24.4]];
-/// Keeps the loss finite where there is no structure. SSIM's `C₂` of 0.0009 belongs to luma in a somewhat smaller
-/// range.
-const C2: f32 = 0.0015;
 /// How often the picture is halved before the worth is computed: one value per cell of 8 × 8 pixels.
 const HALVINGS: usize = 3;
 
@@ -40,7 +25,7 @@ const HALVINGS: usize = 3;
 /// `count` primitives.
 pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f32> {
     let size = [target.width as usize, target.height as usize];
-    let power = POWER * (DENSE_PIXELS / pixels_each(target, count)).min(1.0).sqrt();
+    let power = fit::WORTH_EXPONENT * (fit::WORTH_DENSE_PIXELS / pixels_each(target, count)).min(1.0).sqrt();
     let [wanted, drawn] = lumas(target, field);
     let errors = cells(errors(target, [&wanted, &drawn]), size);
     let shares = cells(shares([wanted, drawn], size), size);
@@ -51,7 +36,7 @@ pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f3
     let worth = shares
         .iter()
         .zip(&errors)
-        .map(|(s, e)| (scale * s / (e + least)).clamp(MIN_WORTH, MAX_WORTH).strict_powf(power));
+        .map(|(s, e)| (scale * s / (e + least)).clamp(fit::MIN_WORTH, fit::MAX_WORTH).strict_powf(power));
     let mut worth: Vec<f32> = worth.collect();
     for pair in sizes(size, HALVINGS).windows(2).rev() {
         worth = upsampled(&worth, pair[1], pair[0]);
@@ -95,9 +80,9 @@ fn errors(target: &Planes, [wanted, drawn]: [&[f32]; 2]) -> Vec<f32> {
 
 /// Returns each pixel's share of the score.
 fn shares([mut wanted, mut drawn]: [Vec<f32>; 2], size: [usize; 2]) -> Vec<f32> {
-    let sizes = sizes(size, SIZES.len() - 1);
+    let sizes = sizes(size, fit::WORTH_SIZE_WEIGHTS.len() - 1);
     let mut lost = Vec::new();
-    for (&[w, h], [of_mean, of_norm]) in sizes.iter().zip(SIZES) {
+    for (&[w, h], [of_mean, of_norm]) in sizes.iter().zip(fit::WORTH_SIZE_WEIGHTS) {
         let (mut at_size, fourth) = lost_structure([&wanted, &drawn], [w, h]);
         // The derivative of the norm with respect to each loss, times the loss.
         let of_norm = of_norm / (fourth as f32).strict_powf(0.75).max(1e-20);
@@ -116,7 +101,7 @@ fn shares([mut wanted, mut drawn]: [Vec<f32>; 2], size: [usize; 2]) -> Vec<f32> 
 /// Returns the luma or grey values of the target and of the current picture, multiplied by the target's opacity.
 fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
     let (width, count) = (target.width as usize, target.channels.count());
-    let luma: &[f32] = if count < 3 { &[1.0] } else { &LUMA };
+    let luma: &[f32] = if count < 3 { &[1.0] } else { &fit::LUMA_WEIGHTS };
     [false, true].map(|is_drawn| {
         let mut plane = vec![0.0f32; width * target.height as usize];
         parallel::map_chunks(&mut plane, width, |y, out| {
@@ -145,7 +130,8 @@ fn lost_structure([a, b]: [&[f32]; 2], [width, height]: [usize; 2]) -> (Vec<f32>
             let i = y * width + x;
             let ([ma, mb], [aa, bb]) = ([means[0][i], means[1][i]], [squares[0][i], squares[1][i]]);
             let variances = (aa - ma * ma).max(0.0) + (bb - mb * mb).max(0.0);
-            let structure = (2.0 * (products[i] - ma * mb) + C2) / (variances + C2);
+            let structure =
+                (2.0 * (products[i] - ma * mb) + fit::WORTH_VARIANCE_FLOOR) / (variances + fit::WORTH_VARIANCE_FLOOR);
             *o = (1.0 - (1.0 - (ma - mb) * (ma - mb)) * structure).max(0.0);
             sum += (*o * *o) * (*o * *o);
         }
@@ -187,7 +173,7 @@ mod tests {
                     let (m, n) = (soft(x, y, &p), soft(x, y, &q));
                     let [aa, bb] = [soft(x, y, &|i| p(i) * p(i)) - m * m, soft(x, y, &|i| q(i) * q(i)) - n * n];
                     let ab = soft(x, y, &|i| p(i) * q(i)) - m * n;
-                    let c2 = f64::from(C2);
+                    let c2 = f64::from(fit::WORTH_VARIANCE_FLOOR);
                     let want = (1.0 - (1.0 - (m - n) * (m - n)) * (2.0 * ab + c2) / (aa + bb + c2)).max(0.0);
                     sum += want.powi(4);
                     // Variances are differences of f32 values near 1, divided by at least C₂.

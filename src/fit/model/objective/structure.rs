@@ -1,23 +1,10 @@
 //! Pixel weights that make the squared error favour structural similarity.
 
+use crate::constants::fit;
 use crate::fit::model::objective::blur::blur;
 use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
-
-/// Constant added to twice the variance of samples in `0..=1`. It is larger than SSIM's `C₂` of 0.0009, so that smooth
-/// areas do not get nearly all of the weight.
-pub const FLOOR: f32 = 0.005;
-/// Exponent of the inverse where primitives are dense. An exponent of 1 would be the slope of SSIM itself and would
-/// cost more decibels than [`Tune::Ssim`] allows.
-///
-/// [`Tune::Ssim`]: crate::options::Tune::Ssim
-const POWER: f32 = 0.5;
-/// Pixels per primitive above which the exponent falls with their square root. Large primitives have little to do with
-/// the variance over a few pixels, and the same exponent costs more decibels the fewer primitives there are.
-pub const DENSE_PIXELS: f32 = 160.0;
-/// Largest weight, and the inverse of the smallest.
-const MAX_WEIGHT: f32 = 20.0;
 
 /// Returns [`Planes::amplitude`] for a fit of `count` primitives. Errors weigh more where the picture varies little, as
 /// in SSIM, whose contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`.
@@ -41,7 +28,7 @@ pub fn mean_of_part(target: &Planes, pixels_each: f32) -> f64 {
 fn weights(target: &Planes, pixels_each: f32) -> Vec<f32> {
     let colors = target.channels.count() - usize::from(target.channels.alpha().is_some());
     let (width, height) = (target.width as usize, target.height as usize);
-    let power = POWER * (pixels_each / DENSE_PIXELS).max(1.0).sqrt().recip();
+    let power = fit::STRUCTURE_EXPONENT * (pixels_each / fit::STRUCTURE_DENSE_PIXELS).max(1.0).sqrt().recip();
     let mut weights = vec![0.0f32; width * height];
     for k in 0..colors {
         let mut plane = target.plane(k);
@@ -52,7 +39,7 @@ fn weights(target: &Planes, pixels_each: f32) -> Vec<f32> {
         }
         let squares = soften(&plane);
         for (w, (m, s)) in weights.iter_mut().zip(means.iter().zip(&squares)) {
-            *w += (2.0 * (s - m * m).max(0.0) + FLOOR).strict_powf(-power);
+            *w += (2.0 * (s - m * m).max(0.0) + fit::STRUCTURE_VARIANCE_FLOOR).strict_powf(-power);
         }
     }
     weights
@@ -70,7 +57,7 @@ pub fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f3
     let mut out = vec![0.0; target.stride * height];
     parallel::map_chunks(&mut out, target.stride, |y, out| {
         for (o, w) in out.iter_mut().zip(&weights[y * width..][..width]) {
-            *o = (w / mean).clamp(MAX_WEIGHT.recip(), MAX_WEIGHT).sqrt();
+            *o = (w / mean).clamp(fit::MAX_STRUCTURE_WEIGHT.recip(), fit::MAX_STRUCTURE_WEIGHT).sqrt();
         }
     });
     out

@@ -1,14 +1,12 @@
 //! Detects ridges at peaks of the residual. Round primitives on thin lines rarely grow into needles, because the first
 //! steps in that direction gain nothing.
 
+use crate::constants::fit;
 use crate::fit::model::objective::blur::Cells;
 use crate::strict_math::StrictMath;
 
-/// Largest aspect ratio of a new primitive. The fit may stretch it further.
-const MAX_ASPECT: f32 = 4.0;
-
 /// Aspect ratios of ridges.
-const ASPECTS: [f32; 2] = [2.0, MAX_ASPECT];
+const ASPECTS: [f32; 2] = [2.0, fit::MAX_RIDGE_ASPECT];
 
 /// Number of directions of ridges, over half a turn.
 const DIRECTIONS: usize = 16;
@@ -18,9 +16,6 @@ pub(crate) const RIDGES: usize = ASPECTS.len() * DIRECTIONS;
 
 /// Cells on one side of a peak, including its own, that are examined for a ridge.
 pub(crate) const TAPS: usize = 11;
-
-/// Standard deviation of the residual's blur, in cells of its level: between 1.2 and 1.4.
-const BLUR: f32 = 1.25;
 
 /// A cell beside a peak, and its mirror image. The layout is that in `peaks.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,7 +63,7 @@ pub(crate) fn all() -> [[Tap; TAPS]; RIDGES] {
     std::array::from_fn(|i| {
         let aspect = ASPECTS[i / DIRECTIONS];
         let (sin, cos) = rotation(i).strict_sin_cos();
-        let length = BLUR * (aspect * aspect - 1.0).sqrt();
+        let length = fit::RESIDUAL_BLUR * (aspect * aspect - 1.0).sqrt();
         let weight = |t: usize| match t {
             // This cell is its own mirror image.
             0 => 0.5,
@@ -88,7 +83,7 @@ pub(crate) fn all() -> [[Tap; TAPS]; RIDGES] {
 /// Returns the largest aspect ratio of a new primitive that is `sigma` pixels wide, such that its area is at most that
 /// of a round one with a scale of `spacing`.
 pub(crate) fn max_aspect(spacing: f32, sigma: f32) -> f32 {
-    (spacing * spacing / (sigma * sigma)).clamp(1.0, MAX_ASPECT)
+    (spacing * spacing / (sigma * sigma)).clamp(1.0, fit::MAX_RIDGE_ASPECT)
 }
 
 /// Returns the best shape at `cell` of the residuals `cells`, up to the aspect ratio `max_aspect`. Outside the picture
@@ -152,22 +147,22 @@ mod tests {
             let values = (0..w * h).map(|i| f((i % w) as f32 - 20.0, (i / w) as f32 - 20.0)).collect();
             Cells { width: w, height: h, each: 1, values }
         };
-        let blurred = |v: f32| (-0.5 * (v / BLUR).powi(2)).exp();
+        let blurred = |v: f32| (-0.5 * (v / fit::RESIDUAL_BLUR).powi(2)).exp();
         for k in 0..DIRECTIONS {
             let (sin, cos) = rotation(k).sin_cos();
-            let line = shape(&all(), MAX_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [20, 20]);
-            assert_eq!((line.aspect, line.rotation), (MAX_ASPECT, rotation(k)), "{line:?}");
+            let line = shape(&all(), fit::MAX_RIDGE_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [20, 20]);
+            assert_eq!((line.aspect, line.rotation), (fit::MAX_RIDGE_ASPECT, rotation(k)), "{line:?}");
             // The full height of the line, except for rounding to cells.
-            assert!(line.score > 0.9 * MAX_ASPECT, "{line:?}");
+            assert!(line.score > 0.9 * fit::MAX_RIDGE_ASPECT, "{line:?}");
         }
-        let dot = shape(&all(), MAX_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [20, 20]);
+        let dot = shape(&all(), fit::MAX_RIDGE_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [20, 20]);
         assert_eq!((dot.aspect, dot.rotation), (1.0, DEFAULT_ROTATION));
         let short = shape(&all(), max_aspect(2.0, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
-        assert_eq!((short.aspect, max_aspect(1.0, 2.0)), (MAX_ASPECT, 1.0));
+        assert_eq!((short.aspect, max_aspect(1.0, 2.0)), (fit::MAX_RIDGE_ASPECT, 1.0));
         let short = shape(&all(), max_aspect(1.5, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
         assert_eq!((short.aspect, short.rotation), (2.0, 0.0));
         // Half of a line ends at the edge: cells outside count as 0.
-        let edge = shape(&all(), MAX_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [0, 0]);
-        assert!(edge.score < MAX_ASPECT * 0.5, "{edge:?}");
+        let edge = shape(&all(), fit::MAX_RIDGE_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [0, 0]);
+        assert!(edge.score < fit::MAX_RIDGE_ASPECT * 0.5, "{edge:?}");
     }
 }

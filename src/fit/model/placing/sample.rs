@@ -3,20 +3,12 @@
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
+use crate::constants::fit;
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::objective::blur::blur;
 use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
-
-/// Share of the primitives that follow detail. The rest is distributed evenly.
-pub(crate) const DETAIL: f64 = 0.8;
-/// Initial scales in units of `1/√(π·density)`.
-const SPREAD: f32 = 0.7;
-/// Increase of the aspect ratio of primitives on a straight edge over 1.
-const STRETCH: f32 = 2.0;
-/// Range of the angles of primitives around the angle of an edge, radians.
-const ANGLE_JITTER: f32 = 0.05;
 
 /// Returns `count` primitives, stretched along edges. Their density follows the square root of the blurred gradient.
 pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
@@ -28,8 +20,8 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
     let detail = Detail::new(target, cell, [cols, rows]);
     let density: Vec<f32> = detail.strength.iter().map(|d| d.max(1e-6).sqrt()).collect();
     let total: f64 = density.iter().map(|&d| f64::from(d)).sum();
-    let even = (1.0 - DETAIL) / density.len() as f64;
-    let scaled: Vec<f64> = density.iter().map(|&d| f64::from(d) / total * DETAIL + even).collect();
+    let even = (1.0 - fit::DETAIL_SHARE) / density.len() as f64;
+    let scaled: Vec<f64> = density.iter().map(|&d| f64::from(d) / total * fit::DETAIL_SHARE + even).collect();
 
     let order = cols.max(rows).next_power_of_two().trailing_zeros();
     let mut cells: Vec<(u64, u32)> = (0..cols * rows).map(|i| (hilbert_index(order, i % cols, i / cols), i)).collect();
@@ -49,18 +41,18 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
             let y = ((i / cols) as f32 + jitter[1]) * cell as f32;
             let mean = [x.min(target.width as f32), y.min(target.height as f32)];
             let per_pixel = share as f32 / (cell * cell) as f32;
-            let scale = (SPREAD / (std::f32::consts::PI * per_pixel).sqrt()).max(0.4).strict_ln();
+            let scale = (fit::INITIAL_SCALE / (std::f32::consts::PI * per_pixel).sqrt()).max(0.4).strict_ln();
             let (stretch, along) = detail.stretch(i as usize);
             let log_scale = [scale + 0.5 * stretch, scale - 0.5 * stretch];
             // Avoid rotations exactly parallel to an axis, where gradients would stay 0.
-            let rotation = along + ANGLE_JITTER * (rng.random::<f32>() - 0.5);
+            let rotation = along + fit::ANGLE_JITTER * (rng.random::<f32>() - 0.5);
             out.push(Primitive { mean, log_scale, rotation, color: target.at(mean) });
         }
     }
     // Rounding may leave the last stratum empty.
     while out.len() < count {
         let mean = [rng.random::<f32>() * target.width as f32, rng.random::<f32>() * target.height as f32];
-        let scale = (SPREAD * spacing as f32 / std::f32::consts::PI.sqrt()).max(0.4).strict_ln();
+        let scale = (fit::INITIAL_SCALE * spacing as f32 / std::f32::consts::PI.sqrt()).max(0.4).strict_ln();
         out.push(Primitive { mean, log_scale: [scale; 2], rotation: 0.0, color: target.at(mean) });
     }
     out
@@ -122,7 +114,7 @@ impl Detail {
         let [a, b, c] = [0, 1, 2].map(|k| self.tensor[k][i]);
         let (difference, sum) = ((a - c).strict_hypot(2.0 * b), a + c);
         let coherence = difference / (sum + 1e-6);
-        let aspect = 1.0 + STRETCH * coherence * coherence;
+        let aspect = 1.0 + fit::EDGE_STRETCH * coherence * coherence;
         (aspect.strict_ln(), 0.5 * (2.0 * b).strict_atan2(a - c) + std::f32::consts::FRAC_PI_2)
     }
 }
