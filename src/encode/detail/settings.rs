@@ -197,6 +197,19 @@ mod tests {
     use super::*;
 
     #[test]
+    fn luma_is_amplified_for_perceptual_tuning_over_gaussians_that_stay() {
+        let gains = |settings: SearchSettings| [1, 64, 202, 640, 9000].map(|step| settings.setting_at(step).gain);
+        let usual = |tune| search_settings(tune, Channels::Rgb, false);
+        let [fine, coarse] = detail::LUMA_GAINS;
+        let found = gains(over_fixed_base(usual(Tune::Iq), Tune::Iq));
+        assert_eq!([found[0], found[1], found[3], found[4]], [fine, fine, coarse, coarse]);
+        // 202 is the middle of the logarithms of 64 and 640.
+        assert!((found[2] - (fine + coarse) / 2.0).abs() < 1e-4, "{found:?}");
+        let others = [over_fixed_base(usual(Tune::Psnr), Tune::Psnr), usual(Tune::Iq), usual(Tune::Ssim)];
+        assert_eq!(others.map(gains), [[1.0; 5]; 3]);
+    }
+
+    #[test]
     fn large_drawings_need_more_bits_for_the_parameters_of_drawings() {
         assert_eq!([1, 300 * 300, 512 * 512].map(least_drawing_bits), [detail::MIN_DRAWING_BITS; 3]);
         let large = least_drawing_bits(2048 * 2048);
