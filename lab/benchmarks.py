@@ -207,7 +207,7 @@ def speeds():
         rows.append([f"AVIF tune=iq, speed {speed}", *(number(v, d) for v, d in zip(values, (2, 1, 2, 4)))])
     tables["speeds"] = table(["encoder", "CPU s", "SSIMULACRA2", "Butteraugli", "MS-SSIM"], rows)
     every = [y for line in lines.values() for _, y in line]
-    speed_chart.write_text(svg(lines, (0.02, 20.0, (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20), "CPU seconds of an encode, one thread"), (min(every) // 5 * 5, max(every) // 5 * 5 + 5, 5)))
+    speed_chart.write_text(svg(lines, (0.05, 100.0, (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100), "CPU seconds of an encode, one thread"), (min(every) // 5 * 5, max(every) // 5 * 5 + 5, 5)))
 
 
 def tiny():
