@@ -85,29 +85,27 @@ class Lab:
             image.save(copy)
         return copy
 
-    def ours(self, picture, ratio):
-        """Returns the bytes, the measures and the decoded picture of the file of the program."""
-        decoded = self.args.cache / "decoded" / f"{self.build}-{picture.stem}-{ratio}.png"
-
+    def encoded(self, key, picture, ratio, decoded, options, look):
+        """Encodes a picture with the program and decodes the file to `decoded`. Returns what `look` says of the file."""
         def work():
             with tempfile.TemporaryDirectory() as folder:
                 file = pathlib.Path(folder, "a.ssplat")
                 run([self.program, "--threads", "1", "encode", picture, file, "--ratio", ratio, "--quiet", "--force"])
-                run([self.program, "--threads", "1", "decode", file, decoded, "--quiet"])
-                return {"bytes": file.stat().st_size} | measured(self.program, picture, file)
-        return self.cache.kept(f"sheet {self.build} {picture.name} {ratio}", work), decoded
+                run([self.program, "--threads", "1", "decode", file, decoded, "--quiet", *options])
+                return look(file)
+        return self.cache.kept(f"{key} {self.build} {picture.name} {ratio}", work)
+
+    def ours(self, picture, ratio):
+        """Returns the bytes, the measures and the decoded picture of the file of the program."""
+        decoded = self.args.cache / "decoded" / f"{self.build}-{picture.stem}-{ratio}.png"
+        look = lambda file: {"bytes": file.stat().st_size} | measured(self.program, picture, file)
+        return self.encoded("sheet", picture, ratio, decoded, [], look), decoded
 
     def gaussians(self, picture, ratio):
         """Returns the share of the bytes of the file of the program that are Gaussians, and these alone."""
         decoded = self.args.cache / "decoded" / f"{self.build}-{picture.stem}-{ratio}-gaussians.png"
-
-        def work():
-            with tempfile.TemporaryDirectory() as folder:
-                file = pathlib.Path(folder, "a.ssplat")
-                run([self.program, "--threads", "1", "encode", picture, file, "--ratio", ratio, "--quiet", "--force"])
-                run([self.program, "--threads", "1", "decode", file, decoded, "--quiet", "--layers", "gaussians"])
-                return json.loads(run([self.program, "info", file, "--json"])[0])
-        info = self.cache.kept(f"layers {self.build} {picture.name} {ratio}", work)
+        look = lambda file: json.loads(run([self.program, "info", file, "--json"])[0])
+        info = self.encoded("layers", picture, ratio, decoded, ["--layers", "gaussians"], look)
         return 1 - (info["detail"] or {"bytes": 0})["bytes"] / info["bytes"], Image.open(decoded).convert("RGB")
 
     def avif(self, picture, ratio, speed):
