@@ -109,22 +109,17 @@ fn shape_of<const N: usize>(
     let is_inside = is_inside(x, cells.width) && is_inside(y, cells.height);
     for (i, ridge) in ridges.iter().enumerate().filter(|(_, r)| r[0].aspect <= max_aspect) {
         let mut mean = [0.0f32; N];
-        let mut add = |weight: f32, cell: &[f32; N]| {
-            for (m, v) in mean.iter_mut().zip(cell) {
-                *m += weight * v;
-            }
-        };
         for tap in ridge.iter().filter(|t| t.weight > 0.0) {
             if is_inside {
                 let by = tap.y as isize * cells.width as isize + tap.x as isize;
-                add(tap.weight, &values[at.wrapping_add_signed(by)]);
-                add(tap.weight, &values[at.wrapping_add_signed(-by)]);
+                mean = plus(mean, tap.weight, values[at.wrapping_add_signed(by)]);
+                mean = plus(mean, tap.weight, values[at.wrapping_add_signed(-by)]);
                 continue;
             }
             for [dx, dy] in [[tap.x, tap.y], [-tap.x, -tap.y]] {
                 let [x, y] = [x.wrapping_add_signed(dx as isize), y.wrapping_add_signed(dy as isize)];
                 if x < cells.width && y < cells.height {
-                    add(tap.weight, &values[y * cells.width + x]);
+                    mean = plus(mean, tap.weight, values[y * cells.width + x]);
                 }
             }
         }
@@ -134,6 +129,15 @@ fn shape_of<const N: usize>(
         }
     }
     best
+}
+
+/// Returns `sum + weight · cell`. Arrays are passed by value, so that the compiler makes vector instructions of the loop.
+#[inline(always)]
+fn plus<const N: usize>(mut sum: [f32; N], weight: f32, cell: [f32; N]) -> [f32; N] {
+    for k in 0..N {
+        sum[k] += weight * cell[k];
+    }
+    sum
 }
 
 #[cfg(test)]
