@@ -10,7 +10,7 @@ mod waves;
 
 use scenes::{codes, scene};
 use ssplat::View;
-use ssplat::gpu::{Adapters, Device, Renderer};
+use ssplat::gpu::{Adapters, Device, Renderer, wgpu_30};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
@@ -335,7 +335,7 @@ fn bands(device: &Device) {
 fn textures_and_buffers(device: &Device) {
     let picture = scene(70, 40, 120, Channels::GreyAlpha, Blend::Normalized, 1);
     let view = View::full(&picture);
-    let (d, queue) = device.wgpu();
+    let (d, queue) = wgpu_30::device_and_queue(device);
     let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
     let want: Vec<u8> = codes(renderer.render(&view, Depth::Eight).unwrap().into_samples())
         .chunks_exact(2)
@@ -345,7 +345,7 @@ fn textures_and_buffers(device: &Device) {
     let buffer =
         |size| d.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
     let plain = buffer(70 * 40 * 4);
-    renderer.render_to_buffer(&view, &plain).unwrap();
+    wgpu_30::render_to_buffer(&mut renderer, &view, &plain).unwrap();
     assert_eq!(read(device, &plain), want);
     for format in [wgpu::TextureFormat::Rgba8UnormSrgb, wgpu::TextureFormat::Bgra8Unorm] {
         let texture = d.create_texture(&wgpu::TextureDescriptor {
@@ -358,7 +358,7 @@ fn textures_and_buffers(device: &Device) {
             usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         });
-        renderer.render_to_texture(&view, &texture).unwrap();
+        wgpu_30::render_to_texture(&mut renderer, &view, &texture).unwrap();
         let copy = buffer(512 * 40);
         let mut encoder = d.create_command_encoder(&Default::default());
         encoder.copy_texture_to_buffer(
@@ -379,13 +379,16 @@ fn textures_and_buffers(device: &Device) {
         }
     }
     let small = buffer(16);
-    assert!(matches!(renderer.render_to_buffer(&view, &small), Err(Error::Gpu(GpuError::Validation { .. }))));
+    assert!(matches!(
+        wgpu_30::render_to_buffer(&mut renderer, &view, &small),
+        Err(Error::Gpu(GpuError::Validation { .. }))
+    ));
     // The device still works after a refused call.
-    renderer.render_to_buffer(&view, &plain).unwrap();
+    wgpu_30::render_to_buffer(&mut renderer, &view, &plain).unwrap();
 }
 
 fn read(device: &Device, buffer: &wgpu::Buffer) -> Vec<u8> {
-    let (d, queue) = device.wgpu();
+    let (d, queue) = wgpu_30::device_and_queue(device);
     let (sender, receiver) = std::sync::mpsc::channel();
     wgpu::util::DownloadBuffer::read_buffer(d, queue, &buffer.slice(..), move |r| {
         sender.send(r.unwrap().to_vec()).unwrap()
@@ -472,7 +475,7 @@ fn lost(_: &Device) {
     let device = Device::open(Adapters::Any).unwrap();
     let picture = scene(32, 32, 30, Channels::Rgb, Blend::Normalized, 1);
     let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
-    device.wgpu().0.destroy();
+    wgpu_30::device_and_queue(&device).0.destroy();
     let drawn = renderer.render(&View::full(&picture), Depth::Eight);
     assert!(matches!(drawn, Err(Error::Gpu(GpuError::Lost { .. }))), "{drawn:?}");
     // During a fit.
@@ -480,7 +483,7 @@ fn lost(_: &Device) {
     let pixels = Pixels::new(48, 40, Channels::Grey, Samples::U8((0..48 * 40).map(|i| (i % 251) as u8).collect()));
     let fitted = ssplat::gpu::fit(&device, &pixels.unwrap(), Blend::Normalized, 40, 60, 0, &mut |look| {
         if look.step() == 30 {
-            device.wgpu().0.destroy();
+            wgpu_30::device_and_queue(&device).0.destroy();
         }
         Ok(ControlFlow::Continue(()))
     });

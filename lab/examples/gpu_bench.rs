@@ -29,7 +29,8 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use ssplat::View;
-use ssplat::gpu::{Adapters, Device, Renderer, fit, wgpu};
+use ssplat::gpu::wgpu_30::{self, wgpu};
+use ssplat::gpu::{Adapters, Device, Renderer, fit};
 use ssplat::{Blend, Channels, Limits, Pixels, Rect, Samples};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -164,7 +165,7 @@ fn frames(device: &Device, picture: &ssplat::Gaussians) -> Result<f64> {
     for y in (0..height).step_by(rows as usize) {
         views.push(full.crop(Rect::new(0, y, width, rows))?);
     }
-    let buffer = device.wgpu().0.create_buffer(&wgpu::BufferDescriptor {
+    let buffer = wgpu_30::device_and_queue(device).0.create_buffer(&wgpu::BufferDescriptor {
         label: Some("frame"),
         size: u64::from(rows) * u64::from(width) * 4,
         usage: wgpu::BufferUsages::COPY_DST,
@@ -172,9 +173,9 @@ fn frames(device: &Device, picture: &ssplat::Gaussians) -> Result<f64> {
     });
     let mut frame = || -> Result<()> {
         for view in &views {
-            renderer.render_to_buffer(view, &buffer)?;
+            wgpu_30::render_to_buffer(&mut renderer, view, &buffer)?;
         }
-        device.wgpu().0.poll(wgpu::PollType::wait_indefinitely())?;
+        wgpu_30::device_and_queue(device).0.poll(wgpu::PollType::wait_indefinitely())?;
         Ok(())
     };
     // The first frame creates the buffers, and its time determines the number of frames.
@@ -189,7 +190,7 @@ fn frames(device: &Device, picture: &ssplat::Gaussians) -> Result<f64> {
 
 /// Returns the bytes that the driver reserves for the device, if it reports them.
 fn held(device: &Device) -> Option<u64> {
-    device.wgpu().0.generate_allocator_report().map(|r| r.total_reserved_bytes)
+    wgpu_30::device_and_queue(device).0.generate_allocator_report().map(|r| r.total_reserved_bytes)
 }
 
 /// Returns the peak memory of the program so far, bytes; 0 if the system does not report it.

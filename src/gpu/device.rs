@@ -74,12 +74,8 @@ impl Device {
         Device::with(device, queue, names.into_iter().next().unwrap_or_default(), reason, software)
     }
 
-    /// Uses a device that the program has opened, so that a [`Renderer`](super::Renderer) can render into the
-    /// program's textures. The device needs no features, and the limits `wgpu::Limits::default()`.
-    ///
-    /// # Errors
-    /// [`GpuError::Validation`] if a shader cannot be built on it.
-    pub fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+    /// Uses a device that the program has opened.
+    pub(super) fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = device.adapter_info();
         let software = info.device_type == wgpu::DeviceType::Cpu;
         Device::with(device, queue, describe(&info), "given by the program".to_owned(), software)
@@ -114,9 +110,8 @@ impl Device {
         self.inner.software
     }
 
-    /// Returns the device and its queue, for programs that create their own textures.
-    #[must_use]
-    pub fn wgpu(&self) -> (&wgpu::Device, &wgpu::Queue) {
+    /// Returns the device and its queue.
+    pub(crate) fn wgpu(&self) -> (&wgpu::Device, &wgpu::Queue) {
         (&self.inner.device, &self.inner.queue)
     }
 

@@ -40,6 +40,7 @@ pub(crate) mod tests;
 #[cfg(test)]
 #[path = "../../tests/internal/gpu/twin/mod.rs"]
 mod twin;
+pub mod wgpu_30;
 mod workspace;
 
 pub use device::{Adapters, Device};
@@ -47,6 +48,3 @@ pub(crate) use fit::Fitter;
 #[cfg(any(test, feature = "unstable"))]
 pub use fitted::{Fitted, Look, fit};
 pub use renderer::Renderer;
-/// The `wgpu` crate in the version that [`Device::from_wgpu`] expects. A release that moves to
-/// an incompatible version is a major release of this crate.
-pub use wgpu;

@@ -228,13 +228,8 @@ impl Renderer {
         Pixels::new(view.width(), view.height(), self.canvas.channels, samples)
     }
 
-    /// Renders `view` into `buffer` as red, green, blue and straight alpha, 8 bits each, row after row. The pixels
-    /// stay on the device.
-    ///
-    /// # Errors
-    /// As [`Renderer::render`]; [`GpuError::Validation`] if the buffer is shorter than four bytes per pixel, belongs
-    /// to another device or does not allow copying to it.
-    pub fn render_to_buffer(&mut self, view: &View, buffer: &wgpu::Buffer) -> Result<()> {
+    /// Renders `view` into `buffer`; see [`wgpu_30`](super::wgpu_30).
+    pub(super) fn render_to_buffer(&mut self, view: &View, buffer: &wgpu::Buffer) -> Result<()> {
         let width = view.width();
         self.draw(view, Format::Rgba8, width, |device, codes, words, first| {
             let to = u64::from(first) * u64::from(width) * 4;
@@ -247,15 +242,8 @@ impl Renderer {
         })
     }
 
-    /// Renders `view` into the top left corner of `texture`, with straight alpha. The pixels stay on the device.
-    ///
-    /// The texture must belong to the same `wgpu` device, allow copying to it (`COPY_DST`) and have one of the formats
-    /// `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` and `Bgra8UnormSrgb`. Values are encoded sRGB, so that sampling
-    /// the `Srgb` formats returns linear light.
-    ///
-    /// # Errors
-    /// As [`Renderer::render`]; [`Error::Parameter`] for another format or a texture smaller than the view.
-    pub fn render_to_texture(&mut self, view: &View, texture: &wgpu::Texture) -> Result<()> {
+    /// Renders `view` into the top left corner of `texture`; see [`wgpu_30`](super::wgpu_30).
+    pub(super) fn render_to_texture(&mut self, view: &View, texture: &wgpu::Texture) -> Result<()> {
         use wgpu::TextureFormat as F;
         let format = match texture.format() {
             F::Rgba8Unorm | F::Rgba8UnormSrgb => Format::Rgba8,
