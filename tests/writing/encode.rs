@@ -98,7 +98,7 @@ fn files_fill_the_requested_ratio_at_any_depth() {
 
 #[test]
 fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
-    let pixels = picture(96, 64, Channels::Rgb);
+    let pixels = picture(72, 48, Channels::Rgb);
     let most = 400;
     let mut all = Vec::new();
     for change in [
@@ -145,9 +145,9 @@ fn equal_options_give_equal_bytes() {
 #[cfg(feature = "rayon")]
 #[test]
 fn bytes_do_not_depend_on_the_thread_count() {
-    let pixels = picture(64, 100, Channels::Rgba);
+    let pixels = picture(64, 48, Channels::Rgba);
     // Effort 7 has the most rounds, and 80 bytes use several starts.
-    for (bytes, tune, effort) in [(500, Tune::Psnr, 7), (500, Tune::Ssim, 2), (500, Tune::Iq, 2), (80, Tune::Psnr, 2)] {
+    for (bytes, tune, effort) in [(250, Tune::Psnr, 7), (500, Tune::Ssim, 2), (500, Tune::Iq, 2), (80, Tune::Psnr, 2)] {
         let mut options = quick(Target::Bytes(bytes));
         (options.tune, options.effort) = (Some(tune), effort);
         let with = |threads| {
@@ -219,7 +219,7 @@ fn a_psnr_is_reached_or_refused_with_the_possible_value() {
 #[test]
 fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
     // Texture everywhere, which suits a detail layer.
-    let [width, height] = [320, 240u32];
+    let [width, height] = [224, 168u32];
     let sample = |i: u32| {
         let (x, y) = ((i / 3 % width) as f32, (i / 3 / width) as f32);
         let grain = (i / 3).wrapping_mul(2_654_435_761) >> 27;
@@ -247,8 +247,12 @@ fn pictures_with_constant_channels_have_layers_with_every_tuning() {
         let pixel = |i: u32| (0..count).map(move |k| if channels.alpha() == Some(k) { 255 } else { grey(i) });
         let samples = Samples::U8((0..width * height).flat_map(pixel).collect());
         let pixels = Pixels::new(width, height, channels, samples).unwrap();
-        for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
+        for (k, tune) in [Tune::Psnr, Tune::Ssim, Tune::Iq].into_iter().enumerate() {
             for target in [Target::Ratio(6.0), Target::Psnr(44.0)] {
+                // A search takes many tries: with one tuning for each number of channels, and all of them in .ci/slow.
+                if target == Target::Psnr(44.0) && count != k + 2 && std::env::var_os("SSPLAT_CASES").is_none() {
+                    continue;
+                }
                 let mut options = quick(target);
                 (options.tune, options.effort) = (Some(tune), 2);
                 let encoded = encode(&pixels, &options).unwrap();
@@ -334,7 +338,7 @@ fn a_search_tries_several_divisions_of_a_page_once() {
     (options.effort, options.tune) = (4, Some(Tune::Iq));
     // Without an exact layer, which a blend that is given prevents.
     options.blend = Some(Blend::Normalized);
-    let encoded = encode(&page(208), &options).unwrap();
+    let encoded = encode(&page(176), &options).unwrap();
     let stages = |name: &str| encoded.report.stages.iter().filter(|stage| stage.name == name).count();
     // Each division has one stage of detail, and each try one more for the rounds after it.
     let fits = stages("fit");
@@ -515,7 +519,7 @@ fn pixels_without_a_side_or_of_the_wrong_length_are_parameter_errors() {
 
 #[test]
 fn without_a_size_no_picture_is_too_small() {
-    for (width, height) in [(1, 1), (8, 8), (1, 300), (300, 1)] {
+    for (width, height) in [(1, 1), (8, 8), (1, 120), (120, 1)] {
         for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
             for layout in LAYOUTS {
                 for metadata in [None, Some(vec![7; 3000])] {
@@ -539,7 +543,7 @@ fn without_a_size_no_picture_is_too_small() {
 #[test]
 #[cfg(feature = "quality")]
 fn without_a_target_the_quality_is_70() {
-    let pixels = picture(160, 120, Channels::Rgb);
+    let pixels = picture(96, 72, Channels::Rgb);
     let mut options = quick(Target::Quality(70.0));
     let asked = encode(&pixels, &options).unwrap().bytes;
     options.target = Target::default();

@@ -177,7 +177,7 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
             options.target = Target::Bytes(400 + samples(&case.pixels).len() as u64 / 10);
         }
     }
-    options.effort = if case.pixels.width().max(case.pixels.height()) < 3000 { 2 } else { 1 };
+    options.effort = if case.pixels.width().max(case.pixels.height()) < 1000 { 2 } else { 1 };
     let guard = "log-scales, bounded aspect, ε; best state kept";
     let row = |worst| Row {
         group: if has_layer { "fit of two layers" } else { "fit" }.into(),
@@ -269,6 +269,11 @@ fn pictures_of_two_layers_stay_within_a_code_value_of_their_definition() {
 fn fits_of_extreme_pictures_are_finite_and_no_worse_than_a_constant_colour() {
     let mut failed = Vec::new();
     for (case, has_layer) in crate::stiff::fits().iter().flat_map(|case| [(case, false), (case, true)]) {
+        // The largest picture has a layer in .ci/slow only.
+        let is_large = case.pixels.width().min(case.pixels.height()) > 3000;
+        if is_large && has_layer && std::env::var_os("SSPLAT_CASES").is_none() {
+            continue;
+        }
         let row = fit(case, has_layer).unwrap_or_else(|e| panic!("{}: {e}", case.name));
         println!("{}", row.line());
         if !row.holds() {

@@ -19,6 +19,13 @@ impl Folder {
         path
     }
 
+    /// Writes a part of the photograph to `name`.
+    fn part(&self, name: &str, width: u32, height: u32) -> PathBuf {
+        let path = self.path(name);
+        image::open(PHOTO).unwrap().crop_imm(200, 100, width, height).save(&path).unwrap();
+        path
+    }
+
     /// Writes an .ssplat file of a few primitives to `name`.
     fn encoded(&self, name: &str) -> PathBuf {
         let source = self.picture("source.png");
@@ -126,9 +133,10 @@ fn perceptual_tuning_looks_better_and_costs_about_a_decibel() {
 #[test]
 fn the_file_does_not_depend_on_the_thread_count() {
     let folder = Folder::new();
+    let part = folder.part("a.png", 384, 256);
     let file = |threads: &str| {
         let path = folder.path(threads);
-        succeeds(ssplat(&[&"encode", &PHOTO, &path, &"--ratio", &"500", &"--effort", &"1", &"--threads", &threads]));
+        succeeds(ssplat(&[&"encode", &part, &path, &"--ratio", &"300", &"--effort", &"1", &"--threads", &threads]));
         fs::read(path).unwrap()
     };
     assert!(file("1") == file("2"));
@@ -243,13 +251,14 @@ fn outputs_have_the_requested_sizes() {
 #[test]
 fn an_eighth_of_the_width_is_the_average_of_the_pixels() {
     let folder = Folder::new();
+    let part = folder.part("part.png", 384, 256);
     let (file, whole, small) = (folder.path("photo.ssplat"), folder.path("whole.png"), folder.path("small.png"));
     // Values beyond black and white are clipped at full size, but only after averaging in a reduced view.
-    succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"50", &"--effort", &"1", &"--detail", &"off"]));
+    succeeds(ssplat(&[&"encode", &part, &file, &"--ratio", &"50", &"--effort", &"1", &"--detail", &"off"]));
     succeeds(ssplat(&[&"decode", &file, &whole]));
-    succeeds(ssplat(&[&"decode", &file, &small, &"--width", &"96"]));
+    succeeds(ssplat(&[&"decode", &file, &small, &"--width", &"48"]));
     let (whole, small) = (image::open(whole).unwrap().to_rgb8(), image::open(small).unwrap().to_rgb8());
-    assert_eq!(small.dimensions(), (96, 64));
+    assert_eq!(small.dimensions(), (48, 32));
     for (x, y, pixel) in small.enumerate_pixels() {
         for c in 0..3 {
             let block = (0..64).map(|k| f32::from(whole.get_pixel(8 * x + k % 8, 8 * y + k / 8)[c]));
@@ -808,8 +817,8 @@ fn losses_are_reported() {
 #[test]
 fn a_thumbnail_is_stored_and_rendered_on_request() {
     let folder = Folder::new();
-    let (with, out) = (folder.path("with.ssplat"), folder.path("small.png"));
-    succeeds(ssplat(&[&"encode", &PHOTO, &with, &"--bytes", &"2000", &"--thumbnail", &"600", &"--effort", &"1"]));
+    let (source, with, out) = (folder.part("a.png", 384, 256), folder.path("with.ssplat"), folder.path("small.png"));
+    succeeds(ssplat(&[&"encode", &source, &with, &"--bytes", &"2000", &"--thumbnail", &"600", &"--effort", &"1"]));
     assert!(fs::metadata(&with).unwrap().len() <= 2000);
     let bytes = number(&succeeds(ssplat(&[&"info", &with, &"--json"])), "thumbnail_bytes");
     assert!((500.0..=600.0).contains(&bytes), "{bytes}");
@@ -823,9 +832,9 @@ fn a_thumbnail_is_stored_and_rendered_on_request() {
     assert_eq!((small.width(), small.height()), (100, 67));
     assert_ne!(small, exact);
     fails(ssplat(&[&"decode", &with, &out, &"--thumbnail", &"100", &"--region", &"0,0,9,9"]), 2, "--region");
-    fails(ssplat(&[&"encode", &PHOTO, &out, &"--thumbnail", &"large"]), 2, "large");
-    fails(ssplat(&[&"encode", &PHOTO, &with, &"--bytes", &"2000", &"--thumbnail", &"9"]), 2, "9 bytes");
-    assert_eq!(folder.names(), ["with.ssplat"]);
+    fails(ssplat(&[&"encode", &source, &out, &"--thumbnail", &"large"]), 2, "large");
+    fails(ssplat(&[&"encode", &source, &with, &"--bytes", &"2000", &"--thumbnail", &"9"]), 2, "9 bytes");
+    assert_eq!(folder.names(), ["a.png", "with.ssplat"]);
 }
 
 #[test]
@@ -934,8 +943,7 @@ fn invalid_values_are_reported_in_plain_words() {
 fn a_quality_is_met_or_reported_as_missed() {
     let folder = Folder::new();
     let (file, out) = (folder.path("k.ssplat"), folder.path("o.png"));
-    let (picture, noise) = (folder.path("k.png"), folder.path("n.png"));
-    image::open(PHOTO).unwrap().crop_imm(200, 100, 160, 120).save(&picture).unwrap();
+    let (picture, noise) = (folder.part("k.png", 160, 120), folder.path("n.png"));
     let run = |input: &Path, quality: &str, detail: &str| {
         let target: [&dyn AsRef<OsStr>; 5] = [&"encode", &input, &file, &"-q", &quality];
         let more: [&dyn AsRef<OsStr>; 7] = [&"--effort", &"1", &"--detail", &detail, &"--json", &"--preview", &out];
@@ -975,7 +983,8 @@ fn a_terminal_shows_progress_from_the_start() {
     let folder = Folder::new();
     let file = folder.path("k.ssplat");
     // Long enough for each stage to be drawn; the bar is drawn a few times a second.
-    let said = on_a_terminal(&[&"encode", &PHOTO, &file, &"--ratio", &"50", &"--effort", &"7"]);
+    let part = folder.part("a.png", 200, 150);
+    let said = on_a_terminal(&[&"encode", &part, &file, &"--ratio", &"50", &"--effort", &"7"]);
     let place = |word: &str| said.find(word).unwrap_or_else(|| panic!("{said:?} lacks {word}"));
     assert!(place("reading") < place("fit") && place("fit") < place("finish"), "{said:?}");
     assert!(said.contains(" to go)"), "{said:?}");

@@ -1,0 +1,1 @@
+//! Contains a test only: that the header of the C interface is current.
