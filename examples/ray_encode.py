@@ -214,7 +214,8 @@ def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_o
 
     # One task for each worker, and one in its queue.
     at_once = at_once or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-    data = ssplat.encode(open_whole(path), tiles=side, start=start, at_once=at_once, progress=progress, **options)
+    workers = {"start": start, "at_once": at_once}
+    data = ssplat.encode(open_whole(path), tiles=side, research=workers, progress=progress, **options)
     folder, name = posixpath.split(out)
     write_whole(folder or ".", name, data)
     return data

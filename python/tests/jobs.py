@@ -13,7 +13,7 @@ SMALL = {"effort": 1, "primitives": 20}
 
 def work(seed):
     """Returns a file, and the sum of its decoded samples."""
-    data = ssplat.encode(PICTURE, **SMALL, seed=seed)
+    data = ssplat.encode(PICTURE, **SMALL, research={"seed": seed})
     return data, int(ssplat.decode(data, threads=2).sum())
 
 

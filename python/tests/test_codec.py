@@ -32,7 +32,7 @@ def test_a_file_is_no_larger_than_asked_for():
 
 
 def test_number_of_primitives_is_the_one_asked_for():
-    assert ssplat.info(ssplat.encode(PICTURE, effort=1, primitives=30, needs="everything"))["primitives"] == 30
+    assert ssplat.info(ssplat.encode(PICTURE, effort=1, primitives=30, research={"needs": "everything"}))["primitives"] == 30
 
 
 def test_psnr_is_reached():
@@ -62,7 +62,7 @@ def test_bytes_do_not_depend_on_threads():
 
 
 def test_seed_changes_the_file():
-    assert ssplat.encode(PICTURE, **SMALL, seed=1) != FILE
+    assert ssplat.encode(PICTURE, **SMALL, research={"seed": 1}) != FILE
 
 
 def test_arrays_pictures_and_paths_give_one_file(tmp_path):
@@ -255,7 +255,7 @@ def test_every_tune_weighs_errors_in_its_own_way():
 def test_every_layout_and_blend_holds_the_picture():
     for layout in ("coded", "planes", "packed"):
         for blend in ("normalized", "sum"):
-            data = ssplat.encode(PICTURE, effort=1, bytes=900, layout=layout, blend=blend)
+            data = ssplat.encode(PICTURE, effort=1, bytes=900, research={"layout": layout, "blend": blend})
             told = ssplat.info(io.BytesIO(data).getvalue())
             assert (told["layout"], told["blend"]) == (layout, blend)
             assert ssplat.metrics.psnr(ssplat.decode(data), PICTURE) > 15

@@ -28,7 +28,7 @@ def test_threads_make_the_same_file(at_once):
             callers.add(threading.get_ident())
             return pool.submit(ssplat.work_on_tile, task, threads=1).result
 
-        assert ssplat.encode(PICTURE, **OPTIONS, start=start, at_once=at_once) == HERE
+        assert ssplat.encode(PICTURE, **OPTIONS, research={"start": start, "at_once": at_once}) == HERE
     assert callers == {caller}
 
 
@@ -38,7 +38,7 @@ def test_processes_make_the_same_file():
         def start(task):
             return pool.submit(ssplat.work_on_tile, task).result
 
-        assert ssplat.encode(PICTURE, **OPTIONS, start=start) == HERE
+        assert ssplat.encode(PICTURE, **OPTIONS, research={"start": start}) == HERE
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -57,7 +57,7 @@ def test_a_picture_that_is_not_in_tiles_is_encoded_here():
         raise AssertionError("nothing is to be divided")
 
     small = waves(100, 120)
-    assert ssplat.encode(small, **OPTIONS, start=start) == ssplat.encode(small, **OPTIONS)
+    assert ssplat.encode(small, **OPTIONS, research={"start": start}) == ssplat.encode(small, **OPTIONS)
 
 
 def test_what_a_worker_raises_stops_the_encode():
@@ -65,9 +65,9 @@ def test_what_a_worker_raises_stops_the_encode():
         raise ConnectionError("gone")
 
     with pytest.raises(ConnectionError, match="gone"):
-        ssplat.encode(PICTURE, **OPTIONS, start=lambda task: fail)
+        ssplat.encode(PICTURE, **OPTIONS, research={"start": lambda task: fail})
     with pytest.raises(ConnectionError, match="gone"):
-        ssplat.encode(PICTURE, **OPTIONS, start=lambda task: fail())
+        ssplat.encode(PICTURE, **OPTIONS, research={"start": lambda task: fail()})
 
 
 def test_an_answer_that_is_none_names_the_tile():
@@ -82,10 +82,10 @@ def test_an_answer_that_is_none_names_the_tile():
         (foreign, "14 × 128 at 256, 0: the answer belongs to task"),
     ]:
         with pytest.raises(ssplat.ParameterError, match=text) as caught:
-            ssplat.encode(PICTURE, **OPTIONS, start=start, at_once=1)
+            ssplat.encode(PICTURE, **OPTIONS, research={"start": start, "at_once": 1})
         assert caught.value.name == "answer"
     with pytest.raises(ssplat.ParameterError, match="must return bytes, not <class 'int'>"):
-        ssplat.encode(PICTURE, **OPTIONS, start=lambda task: int)
+        ssplat.encode(PICTURE, **OPTIONS, research={"start": lambda task: int})
 
 
 def test_bytes_that_are_no_task_are_refused():
@@ -93,7 +93,7 @@ def test_bytes_that_are_no_task_are_refused():
         ssplat.work_on_tile(b"abc")
     assert caught.value.name == "task"
     with pytest.raises(ssplat.ParameterError, match="at_once"):
-        ssplat.encode(PICTURE, **OPTIONS, start=here, at_once=0)
+        ssplat.encode(PICTURE, **OPTIONS, research={"start": here, "at_once": 0})
 
 
 def test_a_worker_can_be_stopped():
@@ -104,6 +104,6 @@ def test_a_worker_can_be_stopped():
         raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        ssplat.encode(PICTURE, **OPTIONS, start=start)
+        ssplat.encode(PICTURE, **OPTIONS, research={"start": start})
     with pytest.raises(ssplat.CancelledError):
         ssplat.work_on_tile(tasks[0], progress=lambda stage, done: done < 0.5)

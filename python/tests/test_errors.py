@@ -76,8 +76,8 @@ def test_a_version_and_a_limit_tell_their_values():
         ({"primitives": 1 << 40}, "primitives"),
         ({"time": -1.0}, "time"),
         ({"time": float("inf")}, "time"),
-        ({"seed": -1}, "seed"),
-        ({"seed": 1 << 64}, "seed"),
+        ({"research": {"seed": -1}}, "seed"),
+        ({"research": {"seed": 1 << 64}}, "seed"),
         ({"threads": 0}, "threads"),
         ({"threads": 1 << 20}, "threads"),
         ({"levels": 9}, "levels"),
@@ -85,10 +85,11 @@ def test_a_version_and_a_limit_tell_their_values():
         ({"thumbnail": 5}, "thumbnail"),
         ({"thumbnail": "large"}, "thumbnail"),
         ({"tune": "vmaf"}, "tune"),
-        ({"layout": "zip"}, "layout"),
-        ({"blend": "multiply"}, "blend"),
+        ({"research": {"layout": "zip"}}, "layout"),
+        ({"research": {"blend": "multiply"}}, "blend"),
         ({"backend": "tpu"}, "backend"),
-        ({"needs": "nothing"}, "needs"),
+        ({"research": {"needs": "nothing"}}, "needs"),
+        ({"research": {"sede": 1}}, "research"),
     ],
 )
 def test_an_option_out_of_range_is_named(options, name):
@@ -124,6 +125,9 @@ def test_an_option_of_decoding_out_of_range_is_named(options, name):
         ({"effort": 1.5}, "effort: 1.5 is not a whole number"),
         ({"ratio": "50"}, "ratio: '50' is not a number"),
         ({"quality": b"70"}, "quality: b'70' is not a number"),
+        ({"research": 5}, "research: 5 is not a mapping"),
+        ({"research": {"seed": 1.5}}, "seed: 1.5 is not a whole number"),
+        ({"research": {"layout": 3}}, "layout: 3 is not a name"),
     ],
 )
 def test_an_option_of_another_type_is_a_type_error_that_names_it(options, text):

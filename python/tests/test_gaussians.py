@@ -28,7 +28,7 @@ def drawn(g):
 
 @pytest.mark.parametrize("blend", ["normalized", "sum"])
 def test_the_documented_formula_gives_the_decoded_picture(blend):
-    data = ssplat.encode(PICTURE, effort=1, bytes=500, blend=blend)
+    data = ssplat.encode(PICTURE, effort=1, bytes=500, research={"blend": blend})
     want = np.clip(drawn(ssplat.gaussians(data)), 0, 1) * 255
     # Rounding, and the code value that the specification allows.
     assert abs(want - ssplat.decode(data)).max() <= 1.5

@@ -82,7 +82,7 @@ def test_false_stops_the_encode_and_nothing_else_does():
 
 def test_many_threads_encode_and_decode_at_once():
     def both(seed):
-        data = ssplat.encode(PICTURE, **SMALL, seed=seed, threads=2)
+        data = ssplat.encode(PICTURE, **SMALL, threads=2, research={"seed": seed})
         return data, ssplat.decode(data, threads=2).tobytes()
 
     with ThreadPoolExecutor(8) as pool:

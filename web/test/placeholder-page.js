@@ -1,4 +1,5 @@
-// Tests a page that imports pictures: it shows placeholders until the files have arrived, then the pictures.
+// Tests a page that imports pictures: it shows placeholders until the files have arrived, then the pictures, also in <img>. On the first visit
+// the service worker has to be installed; on the next one it answers from the start.
 const patience = 60_000
 const until = async what => {
   for (let i = 0; i < patience / 50; i++) {
@@ -33,6 +34,11 @@ export async function test(pages) {
     check(elements().every((element, i) => { const { width, height } = element.getBoundingClientRect(); return width == places[i].width && height == places[i].height }), "the pictures have other places than their placeholders")
     const shown = () => [...frame.contentDocument.images].filter(img => img.naturalWidth == 96).length
     check(await until(() => shown() == images), `${shown()} of ${images} pictures are seen in <img>`)
+    const { contentDocument: first } = frame
+    frame.contentWindow.location.reload()
+    check(await until(() => frame.contentDocument != first && frame.contentDocument?.images.length == images && shown() == images), `next visit: ${shown()} of ${images} pictures are seen in <img>`)
+    check(!images || frame.contentWindow.navigator.serviceWorker.controller, "next visit: the service worker does not answer")
+    check(await until(() => elements().length == sizes.length && elements().every(element => element.complete)), "next visit: the files do not come")
   }
-  return { problems, words: `${pages.map(page => page.name).join(", ")}: placeholders, then pictures` }
+  return { problems, words: `${pages.map(page => page.name).join(", ")}: placeholders, then pictures; <img> on the first and the next visit` }
 }

@@ -92,7 +92,7 @@ for (const files of built) assert.deepEqual(files, built[0])
 // The page of Vite fetches the decoder at once, and the service worker lies beside the page.
 const vitePage = readFileSync(join(folder("vite"), "dist/index.html"), "utf8"), preloaded = /<link rel="preload" href="(\.\/assets\/ssplat-simd-[^"]+\.wasm)" as="fetch" crossorigin/.exec(vitePage)
 assert(preloaded && existsSync(join(folder("vite"), "dist", preloaded[1])), vitePage)
-for (const name of names) if (name != "next") assert(existsSync(join(folder(name), "dist/ssplat-service-worker.js")), `${name}: no service worker`)
+for (const name of names) assert(existsSync(join(folder(name), examples[name].out, "ssplat-service-worker.js")), `${name}: no service worker`)
 
 // The pages, whose .ssplat files are held back until they are released.
 let held = Promise.resolve(), release = () => {}
@@ -101,12 +101,13 @@ const serve = async url => {
   if (pathname == "/hold") held = new Promise(resolve => release = resolve)
   if (pathname == "/release") release()
   if (pathname == "/hold" || pathname == "/release") return { body: "" }
-  const path = from == "_next" ? join(folder("next"), "out", pathname) : names.includes(from) ? join(folder(from), examples[from].out, pathname.slice(from.length + 2)) : ""
+  const isNext = from == "_next" || names.includes("next") && from == "ssplat-service-worker.js"
+  const path = isNext ? join(folder("next"), "out", pathname) : names.includes(from) ? join(folder(from), examples[from].out, pathname.slice(from.length + 2)) : ""
   if (!existsSync(path)) return
   if (path.endsWith(".ssplat")) await held
   return { body: readFileSync(path), headers: { "content-type": typeOf(path) } }
 }
-const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]], images: name == "next" ? 0 : 1 }))
+const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]], images: 1 }))
 const answer = await inChromium(root, "/web/test/placeholder-page.js", pages, { serve })
 if (answer) {
   console.log(`Chromium: ${answer.words}`)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from . import _ssplat
 from ._info import Cicp, Info
 from ._input import cicp_of, content, exif_of, real, source, whole
+from ._research import Research, research_options
 from .errors import PartialWarning, QualityWarning
 
 if TYPE_CHECKING:
@@ -35,24 +36,19 @@ def encode(
     effort: int = 5,
     time: float | None = None,
     progress: Callable[[str, float], object] | None = None,
-    seed: int = 0,
     threads: int | None = None,
     levels: int = 1,
     tiles: int | None = None,
     thumbnail: Literal["auto"] | int | None = "auto",
     detail: Literal["auto", "off"] | float = "auto",
     tune: Literal["psnr", "ssim", "iq"] | None = None,
-    layout: Literal["coded", "planes", "packed"] = "coded",
-    blend: Literal["normalized", "sum"] | None = None,
-    needs: Literal["measured", "everything"] = "measured",
     backend: Literal["auto", "cpu", "gpu"] = "auto",
     metadata: Literal["needed", "all", "icc", "none"] = "needed",
     cicp: Cicp | None = _KEEP,
     icc_profile: bytes | None = _KEEP,
     exif: bytes | None = _KEEP,
     keep_hidden: bool = False,
-    start: Callable[[bytes], Callable[[], bytes]] | None = None,
-    at_once: int = 4,
+    research: Research | Mapping[str, Any] | None = None,
 ) -> bytes:
     """Encodes a picture and returns the bytes of a file. Equal arguments give equal bytes on any number of threads.
 
@@ -79,7 +75,6 @@ def encode(
         progress: callback that receives the name of a stage and the fraction of it that is done, 0 to 1. It is called
             in this thread. It stops the encode by raising an exception, or by returning False, which raises a
             CancelledError.
-        seed: seed of all random numbers.
         threads: number of threads; None: one per core.
         levels: number of progressive levels, 1 to 8. A file that is truncated after a level is a coarser picture.
         tiles: side of the tiles in which the picture is fitted, pixels, a multiple of 128. Tiles bound the memory for
@@ -91,9 +86,6 @@ def encode(
             file gains by it; ``off``: never; or the share of the bytes for the Gaussians, above 0 and below 1.
         tune: the measure to favour: ``psnr``, ``ssim`` or ``iq`` (perceptual quality). None: ``iq``, or ``psnr`` if the
             target is ``psnr``.
-        layout: encoding of the integers.
-        blend: how the Gaussians are blended; None: normalized.
-        needs: whether the encoder measures which parts of the fit the picture needs.
         backend: the device. Only a build with the feature ``gpu`` supports devices other than the CPU.
         metadata: the metadata of the picture to store: ``needed``, the colours and the orientation; ``all``, also the
             rest of the EXIF block, including time and location; ``icc``, only the colours; or ``none``.
@@ -106,12 +98,21 @@ def encode(
         exif: EXIF block to store, regardless of ``metadata``, with or without a leading ``Exif\\0\\0``; None: none.
         keep_hidden: keep the colours of pixels of alpha 0. By default they are replaced by a continuation of the
             visible colours, which takes fewer bytes.
-        start: starts the work on a tile elsewhere. It is called in this thread with the bytes of a task. It passes them
-            to a worker, which calls :func:`work_on_tile`, and returns a function that waits for the result. With a pool
-            of ``concurrent.futures``, it is ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is
-            the same as without ``start``. An exception stops the encode.
-        at_once: maximum number of unfinished tasks, which should keep all workers busy. Each holds the pixels of a
-            tile.
+        research: options for research, and for workers that share the tiles of one picture, as one mapping. It may have
+            these keys:
+
+            - ``seed``: seed of all random numbers, 0 by default.
+            - ``layout``: encoding of the integers, ``coded`` (the default), ``planes`` or ``packed``.
+            - ``blend``: how the Gaussians are blended, ``normalized`` (the default) or ``sum``.
+            - ``needs``: ``measured`` (the default): the encoder measures which parts of the fit the picture needs;
+              ``everything``: it keeps all of them.
+            - ``start``: starts the work on a tile elsewhere. It is called in this thread with the bytes of a task. It
+              passes them to a worker, which calls :func:`work_on_tile`, and returns a function that waits for the
+              result. With a pool of ``concurrent.futures``, it is
+              ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is the same as without ``start``.
+              An exception stops the encode.
+            - ``at_once``: maximum number of unfinished tasks, 4 by default. It should keep all workers busy. Each task
+              holds the pixels of a tile.
 
     Raises:
         ParameterError: an argument is out of range, the size cannot hold the picture, or the result of a task is
@@ -124,6 +125,7 @@ def encode(
     if cicp is not _KEEP or icc_profile is not _KEEP:
         # Colours that are given replace all that the picture states.
         own_cicp, own_profile = None, None
+    rare = research_options(research)
     options = {
         "ratio": real("ratio", ratio),
         "bytes": whole("bytes", bytes),
@@ -133,23 +135,24 @@ def encode(
         "lossless": lossless,
         "effort": whole("effort", effort),
         "time": real("time", time),
-        "seed": whole("seed", seed),
+        "seed": rare["seed"],
         "threads": whole("threads", threads),
         "levels": whole("levels", levels),
         "tiles": whole("tiles", tiles),
         "thumbnail": thumbnail,
         "detail": detail,
         "tune": tune,
-        "layout": layout,
-        "blend": blend,
-        "needs": needs,
+        "layout": rare["layout"],
+        "blend": rare["blend"],
+        "needs": rare["needs"],
         "backend": backend,
         "cicp": own_cicp if cicp is _KEEP else cicp_of(cicp),
         "icc_profile": own_profile if icc_profile is _KEEP else icc_profile,
         "exif": own_exif if exif is _KEEP else exif_of(exif),
         "keep_hidden": keep_hidden,
     }
-    data, found, reached = _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
+    workers = None if rare["start"] is None else (rare["start"], rare["at_once"])
+    data, found, reached = _ssplat.encode(array, options, progress, workers)
     wanted = _DEFAULT_QUALITY if quality is None else quality
     if found is not None and found < wanted - _CLOSE:
         warnings.warn(f"quality {wanted:g} was not met: the file has {found:.1f}", QualityWarning, stacklevel=2)
@@ -161,8 +164,8 @@ def encode(
 def work_on_tile(
     task: bytes, *, threads: int | None = None, progress: Callable[[str, float], object] | None = None
 ) -> bytes:
-    """Processes a task that :func:`encode` passed to ``start``, possibly on another machine. Equal tasks have equal
-    results.
+    """Processes a task that :func:`encode` passed to ``start`` in ``research``, possibly on another machine. Equal tasks
+    have equal results.
 
     Args:
         task: the bytes with which ``start`` was called. They include the pixels.
