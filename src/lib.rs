@@ -144,9 +144,9 @@ assert_eq!(picture.width(), 8);
 //! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
 //! use ssplat::{Decoder, Error, Limit, Limits};
 //!
-//! let mut limits = Limits::default();
-//! limits.width = 16; // pixels
-//! limits.alloc = 64 << 20; // bytes, including the output
+//! let limits = Limits::default()
+//!     .width(16) // pixels
+//!     .alloc(64 << 20); // bytes, including the output
 //!
 //! match Decoder::new().limits(limits).decode(&bytes) {
 //!     Err(Error::LimitExceeded { limit, requested, allowed }) => {

@@ -11,10 +11,7 @@ use crate::parameter::Limit;
 /// ```
 /// use ssplat::{Decoder, Limits};
 ///
-/// let mut limits = Limits::default();
-/// limits.width = 4096;
-/// limits.height = 4096;
-/// limits.alloc = 256 << 20; // 256 MiB
+/// let limits = Limits::default().width(4096).height(4096).alloc(256 << 20); // 256 MiB
 /// let decoder = Decoder::new().limits(limits);
 /// # let _ = decoder;
 /// ```
@@ -68,7 +65,30 @@ impl Default for Limits {
     }
 }
 
+/// Defines setters, because a struct that may grow cannot be written as a literal.
+macro_rules! setters {
+    ($($field:ident: $type:ty,)*) => {$(
+        #[doc = concat!("Sets [`", stringify!($field), "`](Self#structfield.", stringify!($field), ").")]
+        #[must_use]
+        pub const fn $field(mut self, $field: $type) -> Self {
+            self.$field = $field;
+            self
+        }
+    )*};
+}
+
 impl Limits {
+    setters! {
+        width: u32,
+        height: u32,
+        primitives: u64,
+        tile_pairs: u64,
+        work: u64,
+        overlap: u64,
+        alloc: u64,
+        metadata: u64,
+    }
+
     /// Checks `requested` against `allowed`.
     ///
     /// # Errors

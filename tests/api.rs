@@ -121,8 +121,7 @@ fn files_are_read_from_memory_a_path_and_any_reader_within_the_limits() {
     std::fs::write(&path, &bytes).unwrap();
     assert_eq!(render(Reader::open(&path, &limits).unwrap()).unwrap(), pixels);
     // A stream without an end is read no further than the limit on memory allows.
-    let mut limits = Limits::default();
-    limits.alloc = 1 << 20;
+    let limits = Limits::default().alloc(1 << 20);
     let mut endless = bytes.chain(std::io::repeat(0)).take(1 << 30);
     let refused = from_read(&mut endless, &limits);
     assert!(matches!(refused, Err(Error::LimitExceeded { .. })), "{refused:?}");
