@@ -50,6 +50,15 @@ const ENCODER_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat
 /// The bytes of [`SCORE`], compressed by gzip.
 const SCORE_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-score-simd.wasm.gz"));
 
+macro_rules! samples {
+    ($($name:literal),* $(,)?) => {
+        &[$((concat!("viewer/samples/", $name), include_bytes!(concat!(env!("SSPLAT_WEB"), "/viewer/samples/", $name)))),*]
+    };
+}
+
+/// The pictures that the start page offers, 40 kB.
+const SAMPLES: &[(&str, &[u8])] = samples!["motocross.ssplat", "parrots.ssplat", "portrait.ssplat"];
+
 /// Returns a file of the viewer by its path in the viewer's folder; `None` for other paths.
 pub fn file(name: &str) -> Option<&'static [u8]> {
     match name {
@@ -57,6 +66,9 @@ pub fn file(name: &str) -> Option<&'static [u8]> {
         MODULE => Some(MODULE_BYTES),
         ENCODER => Some(ENCODER_BYTES),
         SCORE => Some(SCORE_BYTES),
-        _ => MODULES.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_bytes()),
+        _ => {
+            let module = MODULES.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_bytes());
+            module.or_else(|| SAMPLES.iter().find(|(known, _)| *known == name).map(|&(_, bytes)| bytes))
+        }
     }
 }

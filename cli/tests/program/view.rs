@@ -136,6 +136,15 @@ fn without_a_file_the_page_that_encodes_is_served() {
     assert_eq!(served.get(&served.path).2, source("viewer/index.html"));
     let (status, head, _) = served.get("/");
     assert!(status == 302 && head.contains("Location: /viewer/\r\n"), "{head}");
+    // The pictures that the page offers.
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../web/viewer/samples");
+    let names: Vec<_> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(names.len(), 3, "{names:?}");
+    for name in names {
+        let name = format!("viewer/samples/{}", name.to_str().unwrap());
+        let (status, _, body) = served.get(&format!("/{name}"));
+        assert!(status == 200 && body == source(&name), "{name}: {status}");
+    }
     for option in ["--html", "--original"] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
         refused(command.args(["view", option, "-"]).output().unwrap(), 2, &["INPUT"]);
