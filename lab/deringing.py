@@ -35,14 +35,13 @@ def decoder():
 
 
 class Decoded:
-    """A file as planes: the Gaussians, the additions before they become channels, and the step and block of each pixel."""
+    """A file as planes: the Gaussians, the additions and their luma, and the step and the luma block of each pixel."""
 
     def __init__(self, file, original):
         spec, tiles = decoder(), []
 
         class Tile(spec.Tile):
             def additions(self):
-                # Channels of which the planes can be found again: green + red and blue, green, and their difference.
                 tiles.append(self)
                 return super().additions()
         spec.Tile = Tile
@@ -70,6 +69,7 @@ class Decoded:
         self.base = spec.draw(header, background, primitives, []) / 65535 * 255
         self.original = original
         red, green, blue = numpy.moveaxis(self.added, -1, 0)
+        # The plane of luma again: the planes of chroma cancel (spec §11.5).
         self.luma = (red + 2 * green + blue) // 8
         self.wanted = luma(original.astype(float) - self.base) * 16
 

@@ -197,9 +197,9 @@ See [`gpu`] for rendering into the textures of a program.
 //! # Stability
 //!
 //! The file format is final: every later version reads every file that a 1.x version writes. The names on this page
-//! follow semantic versioning; those of the feature `unstable` do not. Types of `image` are
-//! part of them: a release that moves to an incompatible version of `image`, which is re-exported, is a major release of
-//! this crate. Types of `wgpu` occur only in `gpu::wgpu_30`, which a minor release may replace.
+//! follow semantic versioning; those of the feature `unstable` do not. `image` occurs in public types and is re-exported:
+//! a release that moves to an incompatible version of `image` is a major release of this crate. Types of `wgpu` occur
+//! only in `gpu::wgpu_30`, which a minor release may replace.
 //!
 //! The repository's `docs/ARCHITECTURE.md` is a map of the modules, and `spec/ssplat.md` defines the format.
 
