@@ -1,129 +1,155 @@
-//! What the AVIF decoder of `image` lacks: a limit on the size, an end where the data hold no picture, the rotation of the
-//! file, and pictures without the alpha channel and the colours that it adds.
+//! Reads AVIF: the boxes by mp4parse, AV1 by re_rav1d, and colours by [`ycbcr`](crate::ycbcr).
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use dav1d::{Decoder, Error, Picture, PixelLayout, Settings};
-use image::DynamicImage;
 use image::metadata::Orientation;
-use mp4parse::{ImageRotation, ParseStrictness, read_avif};
+use mp4parse::{AvifContext, ImageRotation, ParseStrictness, read_avif};
+use re_rav1d::dav1d::pixel::MatrixCoefficients;
+use re_rav1d::dav1d::{Decoder, Error, Picture, Settings};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
 use crate::limits::beyond_memory;
+use crate::source::Decoded;
+use crate::ycbcr::{self, Ycbcr};
 
-/// Maximum number of pixels: up to 32 bytes for each of them are in memory at a time.
+/// Maximum number of pixels: up to 16 bytes for each of them are in memory at a time.
 const MAX_PIXELS: u32 = 1 << 27;
 
-/// What dav1d returns for a frame beyond the limit: ERANGE.
-const TOO_LARGE: Error = Error::UnknownError(-34);
-
-/// What a file states about its picture.
-pub struct Stated {
-    pub orientation: Orientation,
-    /// Primaries, transfer characteristics, matrix coefficients (0, because the pixels are RGB) and full range (1), by
-    /// ITU-T H.273.
-    pub code_points: Option<[u8; 4]>,
-    has_alpha: bool,
-    pub is_grey: bool,
-}
-
-/// Decodes the picture once and drops it, so that a file on which the decoder of `image` would take too much memory, or never
-/// return, is an error. Rewinds the input.
-pub fn look(path: &Path, input: &mut Input) -> Result<Stated, Failure> {
+/// Decodes the AVIF file in `input`, which came from `path`.
+///
+/// # Errors
+///
+/// Damaged files ([`Kind::Format`]); grids of pictures, animations without a still picture, and matrices of colours that
+/// [`ycbcr`] does not know ([`Kind::Unsupported`] or [`Kind::Format`]); pictures of more than 2²⁷ pixels, and failed
+/// allocations ([`Kind::Limit`]).
+pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     let name = Failure::input(path);
-    let broken =
-        |what: String| Failure { kind: Kind::Format, message: format!("{name}: Format error decoding Avif: {what}") };
+    let failure = |kind, what: &str| Failure { kind, message: format!("{name}: {what}") };
+    let broken = |what: String| failure(Kind::Format, &format!("Format error decoding AVIF: {what}"));
     let file = read_avif(&mut *input, ParseStrictness::Normal).map_err(|e| broken(format!("{e:?}")))?;
     input.rewind().map_err(|e| Failure::io(path, &e))?;
-    let code_points = code_points(input).map_err(|e| Failure::io(path, &e))?;
-    input.rewind().map_err(|e| Failure::io(path, &e))?;
-    if !file.image_mirror_ptr().is_ok_and(|mirror| mirror.is_null()) {
-        let message = format!(
-            "{name}: is a mirrored AVIF file, which is not read: convert it first, with `avifdec IN.avif OUT.png`"
-        );
-        return Err(Failure { kind: Kind::Unsupported, message });
-    }
-    let orientation = match file.image_rotation() {
-        Ok(ImageRotation::D0) => Orientation::NoTransforms,
-        // Anticlockwise here, clockwise in EXIF.
-        Ok(ImageRotation::D90) => Orientation::Rotate270,
-        Ok(ImageRotation::D180) => Orientation::Rotate180,
-        Ok(ImageRotation::D270) => Orientation::Rotate90,
-        Err(e) => return Err(broken(format!("{e:?}"))),
+    let meta = meta_box(input).map_err(|e| Failure::io(path, &e))?;
+    let orientation = orientation(&file, &meta).map_err(&broken)?;
+    let decoded = |data: Option<&[u8]>| {
+        first_picture(data.unwrap_or_default()).map_err(|e| match e {
+            Error::UnknownError(e) if format!("{e:?}") == "ERANGE" => {
+                failure(Kind::Limit, &format!("has more than {MAX_PIXELS} pixels"))
+            }
+            Error::NotEnoughMemory => Failure { kind: Kind::Limit, message: beyond_memory(path) },
+            Error::Again => broken("no picture in its data".into()),
+            e => broken(e.to_string()),
+        })
     };
-    let failed = |e| match e {
-        TOO_LARGE => Failure { kind: Kind::Limit, message: format!("{name}: has more than {MAX_PIXELS} pixels") },
-        Error::NotEnoughMemory => Failure { kind: Kind::Limit, message: beyond_memory(path) },
-        Error::Again => broken("no picture in its data".into()),
-        e => broken(e.to_string()),
-    };
-    let picture = |data: Option<&[u8]>| first_picture(data.unwrap_or_default()).map_err(failed);
-    let colours = picture(file.primary_item_coded_data())?;
+    let colors = decoded(file.primary_item_coded_data())?;
     let has_alpha = !file.alpha_item_coded_data().unwrap_or_default().is_empty();
-    if has_alpha {
-        let alpha = picture(file.alpha_item_coded_data())?;
-        let sides = |p: &Picture| (p.width(), p.height(), p.bit_depth());
-        if sides(&alpha) != sides(&colours) {
-            return Err(broken("alpha and colours differ in size or depth".into()));
-        }
+    let alpha = if has_alpha { Some(decoded(file.alpha_item_coded_data())?) } else { None };
+    let sides = |p: &Picture| (p.width(), p.height(), p.bit_depth());
+    if alpha.as_ref().is_some_and(|alpha| sides(alpha) != sides(&colors)) {
+        return Err(broken("alpha and colours differ in size or depth".into()));
     }
-    let is_grey = colours.pixel_layout() == PixelLayout::I400;
-    Ok(Stated { orientation, code_points, has_alpha, is_grey })
+    // The box takes precedence over AV1 (MIAF, 7.3.6.4).
+    let stated = file.nclx_colour_information_ptr().and_then(|_| code_points(&meta));
+    let (matrix, is_full_range) = match stated {
+        Some([_, _, matrix, range]) => (matrix, range != 0),
+        None => (matrix_of(&colors), ycbcr::is_full_range(&colors)),
+    };
+    let planes =
+        Ycbcr { colors, alpha, matrix, is_full_range, is_premultiplied: has_alpha && file.premultiplied_alpha };
+    let picture = planes.to_picture().map_err(|e| match e {
+        ycbcr::Error::Memory => Failure { kind: Kind::Limit, message: beyond_memory(path) },
+        ycbcr::Error::Matrix(matrix) => {
+            failure(Kind::Unsupported, &format!("its matrix of colours, {matrix} of ITU-T H.273, is not supported"))
+        }
+    })?;
+    let icc = file.icc_colour_information().transpose().map_err(|e| broken(format!("{e:?}")))?.map(<[u8]>::to_vec);
+    let code_points = stated.map(|[primaries, transfer, ..]| [primaries, transfer, 0, 1]);
+    Ok(Decoded { picture, orientation, code_points, icc })
 }
 
-/// Finds the first `colr` box with code points (`nclx`) in the `meta` box, which mp4parse returns only as a pointer. The
-/// pixels are converted to RGB of full range, so matrix and range are not those of the file.
-fn code_points(input: &mut Input) -> io::Result<Option<[u8; 4]>> {
-    /// Bytes of the `meta` box that are searched.
+/// Returns the start of the `meta` box, in which mp4parse leaves some properties behind pointers.
+fn meta_box(input: &mut Input) -> io::Result<Vec<u8>> {
+    /// Bytes of the box that are searched.
     const SEARCHED: u64 = 1 << 16;
     let mut at = 0;
     loop {
         input.seek(SeekFrom::Start(at))?;
         let mut head = [0; 8];
         match input.read_exact(&mut head) {
-            Err(e) if e.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => return Ok(Vec::new()),
             read => read?,
         }
         let length = u64::from(u32::from_be_bytes([head[0], head[1], head[2], head[3]]));
         if &head[4..] == b"meta" {
             let mut meta = Vec::new();
             input.take(length.saturating_sub(8).min(SEARCHED)).read_to_end(&mut meta)?;
-            let found = meta.windows(12).find(|bytes| bytes.starts_with(b"colrnclx"));
-            // 16 bits each, of which ITU-T H.273 uses 8.
-            return Ok(found.filter(|f| f[8] == 0 && f[10] == 0).map(|found| [found[9], found[11], 0, 1]));
+            return Ok(meta);
         }
         // Boxes of 64-bit lengths, and up to the end of the file, do not precede `meta`.
         if length < 8 {
-            return Ok(None);
+            return Ok(Vec::new());
         }
         at += length;
     }
 }
 
-/// Decodes the first picture of AV1 data. [`Error::Again`] means that there is none, for which the decoder of `image` would wait.
+/// Returns the code points of the first `colr` box that has them: primaries, transfer characteristics, matrix, and
+/// whether the range is full.
+fn code_points(meta: &[u8]) -> Option<[u8; 4]> {
+    let found = meta.windows(15).find(|bytes| bytes.starts_with(b"colrnclx"))?;
+    // 16 bits each, of which ITU-T H.273 uses 8.
+    let [.., 0, primaries, 0, transfer, 0, matrix, range] = *found else { return None };
+    Some([primaries, transfer, matrix, range >> 7])
+}
+
+/// Returns the rotation (`irot`) and the reflection after it (`imir`).
+fn orientation(file: &AvifContext, meta: &[u8]) -> Result<Orientation, String> {
+    // Anticlockwise here, clockwise in EXIF.
+    let quarters = match file.image_rotation().map_err(|e| format!("{e:?}"))? {
+        ImageRotation::D0 => 0,
+        ImageRotation::D90 => 3,
+        ImageRotation::D180 => 2,
+        ImageRotation::D270 => 1,
+    };
+    if file.image_mirror_ptr().map_err(|e| format!("{e:?}"))?.is_null() {
+        return Ok([Orientation::NoTransforms, Orientation::Rotate90, Orientation::Rotate180, Orientation::Rotate270]
+            [quarters]);
+    }
+    let mirror = meta.windows(9).find(|bytes| bytes.starts_with(b"\0\0\0\x09imir")).ok_or("no imir box")?;
+    // Exchanging top and bottom (0) is half a turn before exchanging left and right (1).
+    let turns = if mirror[8] & 1 == 0 { quarters + 2 } else { quarters };
+    Ok([
+        Orientation::FlipHorizontal,
+        Orientation::Rotate90FlipH,
+        Orientation::FlipVertical,
+        Orientation::Rotate270FlipH,
+    ][turns % 4])
+}
+
+/// Decodes the first picture of AV1 data. [`Error::Again`] means that there is none.
 fn first_picture(data: &[u8]) -> Result<Picture, Error> {
     let mut settings = Settings::new();
     settings.set_frame_size_limit(MAX_PIXELS);
     settings.set_max_frame_delay(1);
+    // With its own threads, a failure in one of them could leave the others waiting.
+    settings.set_n_threads(1);
     let mut decoder = Decoder::with_settings(&settings)?;
     decoder.send_data(data.to_vec(), None, None, None)?;
     decoder.get_picture()
 }
 
-impl Stated {
-    /// Removes the channels of `picture` that the file does not have.
-    pub fn own_channels(&self, picture: DynamicImage) -> DynamicImage {
-        let is_deep = matches!(picture, DynamicImage::ImageRgba16(_));
-        match (self.is_grey, self.has_alpha, is_deep) {
-            (true, true, true) => picture.into_luma_alpha16().into(),
-            (true, true, false) => picture.into_luma_alpha8().into(),
-            (true, false, true) => picture.into_luma16().into(),
-            (true, false, false) => picture.into_luma8().into(),
-            (false, false, true) => picture.into_rgb16().into(),
-            (false, false, false) => picture.into_rgb8().into(),
-            (false, true, _) => picture,
-        }
+/// Returns the matrix that AV1 states, by ITU-T H.273; 255 for those that [`ycbcr`] does not know.
+fn matrix_of(picture: &Picture) -> u8 {
+    match picture.matrix_coefficients() {
+        MatrixCoefficients::Identity => 0,
+        MatrixCoefficients::BT709 => 1,
+        MatrixCoefficients::Unspecified => 2,
+        MatrixCoefficients::BT470M => 4,
+        MatrixCoefficients::BT470BG | MatrixCoefficients::ST170M => 6,
+        MatrixCoefficients::ST240M => 7,
+        MatrixCoefficients::YCgCo => 8,
+        MatrixCoefficients::BT2020NonConstantLuminance => 9,
+        _ => 255,
     }
 }

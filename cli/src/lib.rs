@@ -41,6 +41,8 @@ mod spool;
 mod tiff;
 mod view;
 mod written;
+#[cfg(feature = "avif")]
+mod ycbcr;
 
 use std::process::ExitCode;
 

@@ -125,6 +125,17 @@ pub fn panicked(path: &Path, panic: &str) -> Failure {
     Failure { kind: Kind::Format, message }
 }
 
+/// A picture in memory, from a decoder other than those of `image`.
+pub struct Decoded {
+    /// Has the channels of the file, and 16 bits for each sample where the file has more than 8.
+    pub picture: DynamicImage,
+    pub orientation: Orientation,
+    /// Primaries, transfer characteristics, matrix coefficients (0, because the pixels are RGB) and full range (1), by
+    /// ITU-T H.273.
+    pub code_points: Option<[u8; 4]>,
+    pub icc: Option<Vec<u8>>,
+}
+
 /// Decodes a picture of another format than ssplat.
 fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Source, Failure> {
     let io = |e| Failure::io(path, &e);
@@ -163,17 +174,28 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
             notes.push("its end marker is missing, but its picture is complete".into());
         }
     }
-    #[cfg(feature = "avif")]
-    let avif = if sniff(input.start().map_err(io)?) == Some(Sniffed::Avif) {
-        Some(crate::avif::look(path, &mut input)?)
-    } else {
-        None
-    };
     let stated = stated(path, &mut input, reading.profiles)?;
     notes.extend(stated.note.map(String::from));
     let text = exif_text::read(path, &mut input, &stated, &mut notes)?;
     let (picture, mut exif, mut orientation, icc);
-    if let Some(found) = tiff::read(path, &mut input)? {
+    let mut code_points = None;
+    #[cfg(feature = "avif")]
+    let avif = if sniff(input.start().map_err(io)?) == Some(Sniffed::Avif) {
+        Some(crate::avif::read(path, &mut input)?)
+    } else {
+        None
+    };
+    #[cfg(not(feature = "avif"))]
+    let avif = None::<Decoded>;
+    if let Some(found) = avif {
+        // A profile takes precedence (MIAF, 7.3.6.4).
+        if reading.profiles == Profiles::Read && found.icc.is_none() {
+            code_points = found.code_points.map(|points| colour::of_cicp(points, !found.picture.color().has_color()));
+        }
+        picture = found.picture;
+        (exif, orientation) = (None, found.orientation);
+        icc = stated.with_profile(found.icc.filter(|_| reading.profiles == Profiles::Read));
+    } else if let Some(found) = tiff::read(path, &mut input)? {
         picture = found.picture;
         notes.extend(found.notes);
         (exif, orientation, icc) = (None, found.orientation, stated.own_profile());
@@ -188,14 +210,8 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
     }
     let (mut icc, note) = icc;
     notes.extend(note);
-    #[cfg_attr(not(feature = "avif"), allow(unused_mut, reason = "only AVIF states others"))]
     let mut cicp = stated.cicp;
-    #[cfg(feature = "avif")]
-    if let Some(found) = avif.as_ref().and_then(|avif| avif.code_points).filter(|_| icc.is_none())
-        && reading.profiles == Profiles::Read
-    {
-        // A profile takes precedence (MIAF, 7.3.6.4).
-        let found = colour::of_cicp(found, avif.as_ref().is_some_and(|avif| avif.is_grey));
+    if let Some(found) = code_points {
         (cicp, icc) = (found.cicp, found.icc);
     }
     if let Some(text) = text {
@@ -203,14 +219,6 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
         exif = Some(text);
     }
     let picture = stated.corrected(picture);
-    #[cfg(feature = "avif")]
-    let picture = match avif {
-        Some(avif) => {
-            orientation = avif.orientation;
-            avif.own_channels(picture)
-        }
-        None => picture,
-    };
     notes.extend(floats::check(path, &picture)?);
     let [width, height] = <[u32; 2]>::from(picture.dimensions());
     let mut pixels = None;

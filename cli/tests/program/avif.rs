@@ -1,9 +1,11 @@
-//! AVIF as an input: pixels of 8 and 10 bits, alpha, rotation and profiles of files by `avifenc` 0.11.1, and files that
-//! were damaged.
+//! AVIF as an input: pixels of 8 and 10 bits, subsampled chroma, both ranges, alpha, rotation, reflection and profiles, and
+//! files that were damaged.
 //!
 //! The files in `avif/` were made of a picture of ramps, 64 × 48 pixels, with `-s 8 -y 444 --min 0 --max 10`: of 8 bits
 //! (`rgb`, `rgba`), with `-d 10` (`rgb-10`, `rgba-10`), `-y 400` (`grey`), `--irot 1` (`turned`), `--imir 0` (`mirrored`),
-//! and `--icc` (`icc`). `large` is a grey of 16385 × 8193 pixels.
+//! and `--icc` (`icc`) by `avifenc` 0.11.1. `rgb-420` (`range="limited"`), `rgb-422` and `premultiplied`
+//! (`alpha_premultiplied=True`) are by libavif in Pillow 12, at qualities of 95 and 100. `large` is a grey of 16385 × 8193
+//! pixels.
 
 use std::fs;
 use std::io::Cursor;
@@ -57,8 +59,11 @@ fn difference(source: Source, at: impl Fn(u32, u32) -> (u32, u32)) -> u8 {
 fn files_have_their_own_channels_and_depth_and_the_pixels_that_they_were_made_of() {
     for (name, channels, depth) in [
         ("rgb.avif", Channels::Rgb, Depth::Eight),
+        ("rgb-420.avif", Channels::Rgb, Depth::Eight),
+        ("rgb-422.avif", Channels::Rgb, Depth::Eight),
         ("rgb-10.avif", Channels::Rgb, Depth::Sixteen),
         ("rgba.avif", Channels::Rgba, Depth::Eight),
+        ("premultiplied.avif", Channels::Rgba, Depth::Eight),
         ("rgba-10.avif", Channels::Rgba, Depth::Sixteen),
         ("grey.avif", Channels::Grey, Depth::Eight),
         ("icc.avif", Channels::Rgb, Depth::Eight),
@@ -70,10 +75,58 @@ fn files_have_their_own_channels_and_depth_and_the_pixels_that_they_were_made_of
             (64, 48, channels, depth),
             "{name}"
         );
-        assert_eq!(source.icc.is_some(), name == "icc.avif", "{name}");
+        // The others have a profile of the code points of sRGB.
+        let bytes = fs::read(path(name)).unwrap();
+        let is_own = source.icc.as_ref().is_some_and(|icc| bytes.windows(icc.len()).any(|part| part == icc));
+        assert_eq!(is_own, name == "icc.avif", "{name}");
         assert_eq!(source.orientation, Orientation::NoTransforms, "{name}");
         let off = difference(source, |x, y| (x, y));
         assert!(off <= 8, "{name}: {off}");
+    }
+}
+
+/// The bytes of a file with another matrix and range in its box `colr`.
+fn with_matrix(name: &str, matrix: u8, is_full_range: bool) -> Vec<u8> {
+    let mut bytes = fs::read(path(name)).unwrap();
+    let at = bytes.windows(8).position(|word| word == b"colrnclx").unwrap() + 8;
+    (bytes[at + 5], bytes[at + 6]) = (matrix, u8::from(is_full_range) << 7);
+    bytes
+}
+
+/// Returns red, green and blue of a pixel.
+fn pixel(bytes: Vec<u8>, x: u32, y: u32) -> [f64; 3] {
+    let source = read(bytes).unwrap_or_else(|e| panic!("{}", e.message));
+    DynamicImage::from(source.pixels).into_rgb8().get_pixel(x, y).0.map(f64::from)
+}
+
+#[test]
+fn matrix_and_range_of_the_box_are_those_of_h_273() {
+    for (x, y) in [(5, 7), (40, 20), (60, 40)] {
+        // The planes are green, blue and red under the identity, and therefore known from its pixels.
+        let [cr, luma, cb] = pixel(with_matrix("rgb.avif", 0, true), x, y);
+        for (matrix, red, blue) in [(1, 0.2126, 0.0722), (6, 0.299, 0.114), (9, 0.2627, 0.0593)] {
+            for is_full in [false, true] {
+                // ITU-T H.273, 8.3, with 8 bits.
+                let (y_, cb_, cr_) = if is_full {
+                    (luma / 255.0, (cb - 128.0) / 255.0, (cr - 128.0) / 255.0)
+                } else {
+                    ((luma - 16.0) / 219.0, (cb - 128.0) / 224.0, (cr - 128.0) / 224.0)
+                };
+                let (r, b) = (y_ + 2.0 * (1.0 - red) * cr_, y_ + 2.0 * (1.0 - blue) * cb_);
+                let g = (y_ - red * r - blue * b) / (1.0 - red - blue);
+                let expected = [r, g, b].map(|v| (255.0 * v).clamp(0.0, 255.0));
+                let seen = pixel(with_matrix("rgb.avif", matrix, is_full), x, y);
+                for (seen, expected) in seen.iter().zip(expected) {
+                    // Half a code value by rounding, and f32.
+                    assert!((seen - expected).abs() < 0.51, "{matrix} {is_full} {x},{y}: {seen} {expected}");
+                }
+            }
+        }
+    }
+    for (name, matrix) in [("rgb.avif", 14), ("rgb-420.avif", 0)] {
+        let refused = read(with_matrix(name, matrix, true)).err().expect("the matrix is refused");
+        assert_eq!(refused.kind, Kind::Unsupported);
+        assert!(refused.message.contains(&format!("matrix of colours, {matrix} ")), "{}", refused.message);
     }
 }
 
@@ -95,15 +148,21 @@ fn code_points_are_kept_or_become_a_profile() {
 }
 
 #[test]
-fn a_turned_file_is_turned_and_a_mirrored_one_refused() {
+fn rotation_and_reflection_become_the_orientation() {
     assert_eq!(open("turned.avif", Turn::Keep).orientation, Orientation::Rotate270);
     let upright = open("turned.avif", Turn::Upright);
     assert_eq!((upright.pixels.width(), upright.pixels.height()), (48, 64));
     // A quarter of a turn anticlockwise: the top row was the right column.
     let off = difference(upright, |x, y| (63 - y, x));
     assert!(off <= 8, "{off}");
-    let refused = source::open(&path("mirrored.avif"), Turn::Keep).err().expect("a mirrored file is refused");
-    assert!(refused.kind == Kind::Unsupported && refused.message.contains("avifdec"), "{}", refused.message);
+    // Top and bottom are exchanged.
+    assert_eq!(open("mirrored.avif", Turn::Keep).orientation, Orientation::FlipVertical);
+    let off = difference(open("mirrored.avif", Turn::Upright), |x, y| (x, 47 - y));
+    assert!(off <= 8, "{off}");
+    let mut bytes = fs::read(path("mirrored.avif")).unwrap();
+    let at = bytes.windows(4).position(|word| word == b"imir").unwrap() + 4;
+    bytes[at] ^= 1;
+    assert_eq!(read(bytes).unwrap().orientation, Orientation::FlipHorizontal);
 }
 
 #[test]

@@ -908,9 +908,12 @@ fn messages_name_the_options_that_were_given() {
     let out = folder.path("o.ssplat");
     fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "a ratio of 1000000000 leaves 0 bytes");
     fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: empty (0 bytes), not a picture");
+    let heic = folder.path("a.heic");
+    fs::write(&heic, b"\0\0\0\x1cftypheic\0\0\0\0heicmif1miaf").unwrap();
+    fails(ssplat(&[&"encode", &heic, &out]), 5, "heif-convert");
     let avif = folder.path("a.avif");
     fs::write(&avif, b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf").unwrap();
-    fails(ssplat(&[&"encode", &avif, &out]), 5, "avifdec");
+    fails(ssplat(&[&"encode", &avif, &out]), if cfg!(feature = "avif") { 4 } else { 5 }, "a.avif: ");
     let file = folder.encoded("b.ssplat");
     fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &"--scale", &"1e30"]), 2, "1048576 at most");
 }
