@@ -109,7 +109,7 @@ impl Encoding {
             2 => Target::Bytes(whole("bytes", value)?),
             3 => Target::Psnr(value),
             4 => Target::Lossless,
-            5 => Target::Primitives(whole("gaussians", value)?.try_into().unwrap_or(u32::MAX)),
+            5 => Target::Gaussians(whole("gaussians", value)?.try_into().unwrap_or(u32::MAX)),
             _ => return Err(Failure::parameter(format_args!("there is no target {target}"))),
         };
         self.change(|encoder| encoder.target(target));

@@ -178,7 +178,7 @@ pub(super) fn has_rounds(state: &EncodeState<'_>) -> bool {
 /// Returns whether the encoder tries several sizes until the file reaches the requested quality.
 pub(super) fn is_search(target: Target) -> bool {
     match target {
-        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) | Target::Lossless => false,
+        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Gaussians(_) | Target::Lossless => false,
         Target::Psnr(_) => true,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => true,

@@ -13,7 +13,7 @@ pub enum Rung {
     Optimizer,
     /// Steps that sample some of the rows.
     Sampling,
-    /// Relocation of the least useful primitives.
+    /// Relocation of the least useful Gaussians.
     Relocation,
     /// A price of size.
     #[default]

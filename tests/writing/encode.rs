@@ -126,8 +126,8 @@ fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
 fn files_have_the_requested_number_of_primitives() {
     let pixels = picture(96, 64, Channels::Rgb);
     for count in [0, 1, 7, 80] {
-        let encoded = run(&pixels, Target::Primitives(count));
-        assert_eq!(encoded.report.primitives, count as usize);
+        let encoded = run(&pixels, Target::Gaussians(count));
+        assert_eq!(encoded.report.gaussians, count as usize);
         assert_eq!(bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().gaussians.len(), count as usize);
     }
 }
@@ -469,7 +469,7 @@ fn options_out_of_range_are_parameter_errors() {
         options.effort = effort;
         assert_refused(encode(&pixels, &options), "effort");
     }
-    assert_refused(encode(&pixels, &quick(Target::Primitives(u32::MAX))), "primitives");
+    assert_refused(encode(&pixels, &quick(Target::Gaussians(u32::MAX))), "gaussians");
 }
 
 #[test]

@@ -90,7 +90,7 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
         ("share of .5", photo(), |o| {
             (o.target, o.detail, o.effort) = (Target::Ratio(20.0), Detail::GaussianShare(0.5), 2);
         }),
-        ("500 primitives", photo(), |o| (o.target, o.effort) = (Target::Primitives(500), 2)),
+        ("500 primitives", photo(), |o| (o.target, o.effort) = (Target::Gaussians(500), 2)),
         ("packed layout", photo(), |o| (o.layout, o.effort) = (Layout::Packed, 2)),
         ("planes layout", photo(), |o| (o.layout, o.effort) = (Layout::Planes, 2)),
         ("four levels", photo(), |o| (o.levels, o.effort) = (4, 2)),
@@ -134,7 +134,7 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
             (o.target, o.tiles, o.effort) = (Target::Bytes(1500), Some(128), 1);
         }),
         ("tiles of 300 primitives", photo(), |o| {
-            (o.target, o.tiles, o.effort) = (Target::Primitives(300), Some(128), 1);
+            (o.target, o.tiles, o.effort) = (Target::Gaussians(300), Some(128), 1);
         }),
     ]
 }

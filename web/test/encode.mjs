@@ -47,7 +47,7 @@ async function same(name, pixels, options, args, isFitted = pixels.width > 1) {
     const { bytes, report } = await encode(pixels, { ...options, ...modulesOf(kind) })
     assert(Buffer.compare(native, bytes) == 0, `${name}, ${kind}: ${bytes.length} bytes differ from the program's ${native.length}`)
     assert(report.psnr > 0 && report.seconds >= 0, name)
-    if (isFitted) assert(report.primitives > 0 && report.stages.length > 0, name)
+    if (isFitted) assert(report.gaussians > 0 && report.stages.length > 0, name)
     checks++
   }
 }
