@@ -54,13 +54,10 @@ fn encoder(device: &Device) {
     // On the CPU, three seeds reach 20.5, 22.1 and 22.6 dB, and the mean colour alone 10.9. The margin is 2.5 dB.
     assert!(encoded.report.gaussians > 30 && encoded.report.psnr > 18.0, "{:?}", encoded.report);
     assert_eq!(ssplat::unstable::encode(&pixels, &options).unwrap().bytes, encoded.bytes, "a second run");
-    for tune in [Tune::Psnr, Tune::Ssim] {
-        let mut options = options.clone();
-        options.tune = Some(tune);
-        let tuned = ssplat::unstable::encode(&pixels, &options).unwrap();
-        assert_eq!(tuned.report.chosen.backend, Backend::Gpu, "{tune:?}");
-        assert_ne!(tuned.bytes, encoded.bytes, "{tune:?} weighs as the default does");
-    }
+    options.tune = Some(Tune::Psnr);
+    let tuned = ssplat::unstable::encode(&pixels, &options).unwrap();
+    assert_eq!(tuned.report.chosen.backend, Backend::Gpu);
+    assert_ne!(tuned.bytes, encoded.bytes, "all errors weigh as by default");
 }
 
 fn tiles(device: &Device) {

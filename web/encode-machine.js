@@ -5,7 +5,7 @@ import { SsplatError } from "./error.js"
 const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
 // In the order of the module's numbers.
 const settings = ["ratio", "bytes", "psnr", "quality", "gaussians", "effort", "tune", "time", "seed", "detail", "levels", "lossless"]
-const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
+const words = { tune: ["psnr", "iq"], detail: ["off", "auto"] }
 
 // The initial memory of a module in pages of 64 KiB; it grows up to the limit.
 const least = 64, page = 65536

@@ -37,7 +37,7 @@ export interface EncodeOptions {
   /** 1 to 9, by default 5; higher efforts take longer and give better pictures. */
   effort?: number
   /** The measure to favour: by default "iq" (perceptual quality), or "psnr" if a PSNR is requested. */
-  tune?: "psnr" | "ssim" | "iq"
+  tune?: "psnr" | "iq"
   /** Time limit, seconds. The result is the best state so far, so it depends on the speed of the machine. */
   time?: number
   seed?: number

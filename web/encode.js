@@ -108,7 +108,7 @@ function jobOf(pixels, options) {
     if (typeof options.lossless != "boolean") bad(`lossless is ${options.lossless}, neither true nor false`)
     if (options.lossless) settings.lossless = 1
   }
-  word("tune", "psnr", "ssim", "iq")
+  word("tune", "psnr", "iq")
   word("detail", "auto", "off")
   const cicp = bytesOf("cicp", Array.isArray(options.cicp) ? Uint8Array.from(options.cicp) : options.cicp)
   const icc = bytesOf("icc", options.icc), exif = bytesOf("exif", options.exif)

@@ -148,7 +148,7 @@ pub struct Encode {
     /// How Gaussians blend [default: normalized]
     #[arg(help_heading = "Research", long, value_parser = names::blend())]
     pub blend: Option<Blend>,
-    /// What to optimize for: iq (perceptual quality), ssim (structure) or psnr (squared error) [default: iq; psnr with
+    /// What to optimize for: iq (perceptual quality) or psnr (squared error) [default: iq; psnr with
     /// --psnr]
     #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,

@@ -28,7 +28,7 @@ impl<'a> Arbitrary<'a> for Input {
         options.seed = u.arbitrary()?;
         options.layout = *u.choose(&[Layout::Packed, Layout::Planes, Layout::Coded])?;
         options.blend = *u.choose(&[None, Some(Blend::Normalized), Some(Blend::Sum)])?;
-        options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)])?;
+        options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Iq)])?;
         options.backend = ssplat::Backend::Cpu;
         options.needs = *u.choose(&[Needs::Measured, Needs::Everything])?;
         let is_coded = options.layout == Layout::Coded;

@@ -165,7 +165,7 @@ pub(super) fn rounds(state: &EncodeState<'_>, shared: u64) -> u32 {
         Tune::Psnr => rounds.exact[usize::from(is_search(state.options.target))],
         _ if state.pixels() >= fit::LARGE_PIXELS && !rounds.includes_large_pictures => 0,
         Tune::Iq if state.samples() / shared as f64 <= allocation::MAX_RATIO_OF_LARGE_FILES => rounds.in_large_files,
-        Tune::Ssim | Tune::Iq => rounds.perceptual,
+        Tune::Iq => rounds.perceptual,
     }
 }
 

@@ -107,23 +107,23 @@ fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<SkipReason> {
 }
 
 #[test]
-fn ssim_weights_are_omitted_where_they_have_no_effect() {
+fn weights_are_omitted_where_they_have_no_effect() {
     let even = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 4) as u8);
     let rough = wave(Channels::Grey, |x, y, _| (100 + x * y % 7 * x) as u8);
     let psnr = options(1, Target::Bytes(150));
-    let mut ssim = psnr.clone();
-    ssim.tune = Some(Tune::Ssim);
-    let mut everything = ssim.clone();
+    let mut iq = psnr.clone();
+    iq.tune = Some(Tune::Iq);
+    let mut everything = iq.clone();
     everything.needs = Needs::Everything;
     // With a PSNR target nothing is left out, and the report says nothing about it.
     for (pixels, options, is_left_out) in
-        [(&even, &psnr, false), (&even, &ssim, true), (&even, &everything, false), (&rough, &ssim, false)]
+        [(&even, &psnr, false), (&even, &iq, true), (&even, &everything, false), (&rough, &iq, false)]
     {
         let found = left_out(pixels, options);
         assert_eq!(found.contains(&SkipReason::StructureWeights), is_left_out, "{found:?}");
     }
     let bytes = |options| ssplat::unstable::encode(&even, options).unwrap().bytes;
-    assert_eq!(bytes(&psnr), bytes(&ssim));
+    assert_eq!(bytes(&psnr), bytes(&iq));
 }
 
 #[test]

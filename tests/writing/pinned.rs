@@ -85,7 +85,6 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
         ("ratio 300", photo(), |o| (o.target, o.effort) = (Target::Ratio(300.0), 2)),
         ("300 bytes", photo(), |o| (o.target, o.effort) = (Target::Bytes(300), 3)),
         ("tune psnr", photo(), |o| (o.target, o.tune, o.effort) = (Target::Ratio(25.0), Some(Tune::Psnr), 3)),
-        ("tune ssim", photo(), |o| (o.target, o.tune, o.effort) = (Target::Ratio(25.0), Some(Tune::Ssim), 3)),
         ("no layer", photo(), |o| (o.detail, o.effort) = (Detail::Off, 3)),
         ("share of .5", photo(), |o| {
             (o.target, o.detail, o.effort) = (Target::Ratio(20.0), Detail::GaussianShare(0.5), 2);

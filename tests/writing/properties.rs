@@ -107,7 +107,7 @@ impl Case {
         }
         let pixels = pixels(kind, alpha, depth, channels, size, rng);
         options.hidden = one_of(rng, &[HiddenColors::Continue, HiddenColors::Keep]);
-        options.tune = one_of(rng, &[None, None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)]);
+        options.tune = one_of(rng, &[None, None, Some(Tune::Psnr), Some(Tune::Psnr), Some(Tune::Iq)]);
         options.blend = one_of(rng, &[None, None, None, Some(Blend::Sum)]);
         options.layout = one_of(rng, &[Layout::Coded, Layout::Coded, Layout::Coded, Layout::Packed, Layout::Planes]);
         options.target = match rng.random_range(0..9) {

@@ -41,7 +41,7 @@ def encode(
     tiles: int | None = None,
     thumbnail: Literal["auto"] | int | None = "auto",
     detail: Literal["auto", "off"] | float = "auto",
-    tune: Literal["psnr", "ssim", "iq"] | None = None,
+    tune: Literal["psnr", "iq"] | None = None,
     backend: Literal["auto", "cpu", "gpu"] = "auto",
     metadata: Literal["needed", "all", "icc", "none"] = "needed",
     cicp: Cicp | None = _KEEP,
@@ -84,7 +84,7 @@ def encode(
             in files of at least 100 000 bytes. None: no thumbnail.
         detail: whether the file has a detail layer, the transform-coded residual of the Gaussians. ``auto``: if the
             file gains by it; ``off``: never; or the share of the bytes for the Gaussians, above 0 and below 1.
-        tune: the measure to favour: ``psnr``, ``ssim`` or ``iq`` (perceptual quality). None: ``iq``, or ``psnr`` if the
+        tune: the measure to favour: ``psnr`` or ``iq`` (perceptual quality). None: ``iq``, or ``psnr`` if the
             target is ``psnr``.
         backend: the device. Only a build with the feature ``gpu`` supports devices other than the CPU.
         metadata: the metadata of the picture to store: ``needed``, the colours and the orientation; ``all``, also the

@@ -220,8 +220,7 @@ pub(super) fn task<T: WireFormat>(
     seconds.iter().for_each(|v| out.extend(v.to_le_bytes()));
     let (tag, means) = match &global.weights {
         Weights::Alike => (0, &[][..]),
-        Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
-        Weights::Masking(means) => (2, &means[..]),
+        Weights::Masking(means) => (1, &means[..]),
     };
     out.push(tag);
     means.iter().chain([&global.detail]).for_each(|v| out.extend(v.to_le_bytes()));
@@ -374,8 +373,7 @@ fn read_context<'a>(
     let seconds = if is_timed { Some(read_f64(bytes, "seconds")?) } else { None };
     let weights = match bytes.array("weights")? {
         [0] => Weights::Alike,
-        [1] => Weights::Structure(read_f64(bytes, "weights")?),
-        [2] => {
+        [1] => {
             let mut means = Means::default();
             for mean in &mut means {
                 *mean = read_f64(bytes, "weights")?;

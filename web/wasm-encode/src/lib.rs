@@ -76,7 +76,6 @@ pub extern "C" fn set(which: u32, value: f64) -> u32 {
             5 => encoder.effort(value as u8),
             6 => encoder.tune(match value as u32 {
                 0 => Tune::Psnr,
-                1 => Tune::Ssim,
                 _ => Tune::Iq,
             }),
             7 => match Duration::try_from_secs_f64(value) {
