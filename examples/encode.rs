@@ -14,7 +14,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     // Keeps the picture's ICC profile and orientation.
     let report = Encoder::new().ratio(100.0).transcode(picture, file)?;
-    println!("{} Gaussians, {:.2} dB, {:.1} s", report.primitives, report.psnr, report.seconds);
+    println!("{} Gaussians, {:.2} dB, {:.1} s", report.gaussians, report.psnr, report.seconds);
 
     // From here on, the `image` crate supports the format.
     register();

@@ -12,7 +12,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("the path of an .ssplat file")?;
     let reader = Reader::open(path, &Limits::default())?;
     let (width, height, channels) = (reader.width(), reader.height(), reader.channels().count());
-    println!("{width} × {height}, {} Gaussians", reader.primitives());
+    println!("{width} × {height}, {} Gaussians", reader.gaussian_count());
 
     // A pan over the middle row, at twice the size.
     let image = reader.read()?;

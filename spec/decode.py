@@ -171,7 +171,7 @@ class Header:
         return self.steps_of[key]
 
     def seat(self, major):
-        """Returns the logarithm of the side of the square that contains such primitives (§8.4)."""
+        """Returns the logarithm of the side of the square that contains such Gaussians (§8.4)."""
         t = 2 * (major * self.D - 64 - 8 * self.position) - 1
         return clamp((t + 32) // 64, self.finest, self.coarsest) - self.finest
 
@@ -443,7 +443,7 @@ def read_planes(b, header):
     for row in zip(*fields):
         position += row[0]
         row = (position,) + row[1:]
-        demand(last is None or last <= row, "order of primitives")
+        demand(last is None or last <= row, "order of Gaussians")
         last = row
         demand(position < 1 << 2 * order, "position out of range")
         cx, cy = hilbert_point(order, position)
@@ -668,7 +668,7 @@ def halves(corner, log, axis):
 
 
 class Places:
-    """Returns the squares of a group's primitives, as (logarithm of the side, corner), in decoding order."""
+    """Returns the squares of a group's Gaussians, as (logarithm of the side, corner), in decoding order."""
 
     def __init__(self, coder, header, cells):
         self.coder, self.header, self.cells, self.out = coder, header, cells, []
@@ -868,7 +868,7 @@ def read_group(coder, header, background, book, corner, log, count):
     out, last = [], None
     for place in places:
         l, q = place
-        # The neighbours (§8.5), and the previous primitives.
+        # The neighbours (§8.5), and the previous Gaussians.
         near = buckets.around(place)
         V, E, axis, elongation, weight = near[:6], near[6:10], near[10:12], near[12], near[13]
         if len(out) < 64 or len(out) % 8 == 0:
@@ -949,7 +949,7 @@ def read_group(coder, header, background, book, corner, log, count):
         p = (x, y, major, minor, angle, color)
         header.check(p)
         key = (major, minor, angle, x, y, color)
-        demand(last is None or last[0] != place or last[1] <= key, "order of primitives")
+        demand(last is None or last[0] != place or last[1] <= key, "order of Gaussians")
         last = (place, key)
         out.append(p)
 
@@ -1010,7 +1010,7 @@ def read_divisions(b, header, corner, log, count, groups):
 
 
 def read_groups(b, header, lost=None):
-    """Returns background and primitives. With a list `lost`, damaged groups are skipped and their counts appended to it."""
+    """Returns background and Gaussians. With a list `lost`, damaged groups are skipped and their counts appended to it."""
     start = b.at
     background = read_background(b, header)
     book = read_codebook(b, header)
@@ -1026,7 +1026,7 @@ def read_groups(b, header, lost=None):
     for group in groups:
         length = b.varint("group length")
         entries.append((length, b.byte("largest scale of a group"), b.u32("group checksum")))
-        demand(group[2] <= 8 * length + 1024, "primitives of a group")
+        demand(group[2] <= 8 * length + 1024, "Gaussians of a group")
     computed = zlib.crc32(zlib.crc32(header.bytes).to_bytes(4, "little") + b.data[start : b.at])
     demand(b.u32("directory checksum") == computed, "checksum of the directory")
     at, out = b.at, []
@@ -1736,10 +1736,10 @@ def low_pass(side, pixels):
 
 
 class Shape:
-    """A primitive in the form in which it is sampled."""
+    """A Gaussian in the form in which it is sampled."""
 
-    def __init__(self, header, primitive, grid):
-        x, y, major, minor, angle, _ = primitive
+    def __init__(self, header, gaussian, grid):
+        x, y, major, minor, angle, _ = gaussian
         lx, ly = header.logs(major, minor, angle)
         self.cx, self.cy = (x + 0.5) * 2.0 ** (header.finest + lx), (y + 0.5) * 2.0 ** (header.finest + ly)
         self.s1, self.s2 = s1, s2 = 2.0 ** (major * header.delta - 2), 2.0 ** (minor * header.delta - 2)
@@ -1767,7 +1767,7 @@ class Shape:
         return self.s1 * self.s2 / math.sqrt(self.det) * np.maximum(0, np.exp(-squared / 2) - edge)
 
 
-def draw(header, background, primitives, tiles, size=None):
+def draw(header, background, gaussians, tiles, size=None):
     """Returns the samples of the whole picture, rows × columns × channels, at its own size or another, with the additions of a detail layer."""
     width, height = size or header.size
     grid = low_pass(header.size[0], width), low_pass(header.size[1], height)
@@ -1775,8 +1775,8 @@ def draw(header, background, primitives, tiles, size=None):
     channels = header.channels
     top, dtype = (65535, ">u2") if header.sixteen else (255, "u1")
     b = colors_of(header, [background])[0]
-    colors = colors_of(header, [p[5] for p in primitives])
-    shapes, weights = [Shape(header, p, grid) for p in primitives], 0
+    colors = colors_of(header, [p[5] for p in gaussians])
+    shapes, weights = [Shape(header, p, grid) for p in gaussians], 0
     for s in shapes:
         s.columns = max(0, s.columns[0]), min(width * across, s.columns[1])
         s.rows = max(0, s.rows[0]), min(height * down, s.rows[1])
@@ -1827,7 +1827,7 @@ def payload(b, header):
     return Bytes(b.data[: b.at], start)
 
 
-def read_primitives(b, header):
+def read_gaussians(b, header):
     demand(header.count <= 8 * (len(b.data) - b.at) + 1024, "count is too large for the payload")
     picture = [read_packed, read_planes, read_coded, read_groups][header.layout](b, header)
     demand(b.at == len(b.data), "bytes left over")
@@ -1835,7 +1835,7 @@ def read_primitives(b, header):
 
 
 def read(data, header, notes):
-    """Returns background, primitives, and the tiles of both layers of an intact file."""
+    """Returns background, Gaussians, and the tiles of both layers of an intact file."""
     b, damaged = Bytes(data[:-4], len(header.bytes)), []
     demand(len(b.data) >= b.at, "checksum is cut off")
     covered = header.bytes + (read_sections(b, header, damaged) if header.sections else b"")
@@ -1844,7 +1844,7 @@ def read(data, header, notes):
     if header.cicp:
         notes.append("code points {} (primaries, transfer, matrix, full range)".format(", ".join(map(str, header.cicp))))
     part = payload(b, header)
-    background, primitives = read_primitives(part, header)
+    background, gaussians = read_gaussians(part, header)
     b.at, tiles, exact = part.at, [], []
     if header.detail:
         start = b.at
@@ -1853,7 +1853,7 @@ def read(data, header, notes):
     if header.exact:
         exact = exact_tiles(b, header)
     demand(b.at == len(b.data), "bytes left over")
-    return background, primitives, tiles, exact
+    return background, gaussians, tiles, exact
 
 
 def read_what_is_left(data, header, notes):
@@ -1864,12 +1864,12 @@ def read_what_is_left(data, header, notes):
     if header.layout == 3:
         head = header.detail or header.exact
         end = len(data) if head is None else min(len(data), b.at + head.payload)
-        background, primitives = read_groups(Bytes(data[:end], b.at), header, lost)
+        background, gaussians = read_groups(Bytes(data[:end], b.at), header, lost)
         b.at = end
-        notes.append(f"{sum(lost)} of {header.count} primitives in {len(lost)} groups are missing")
+        notes.append(f"{sum(lost)} of {header.count} Gaussians in {len(lost)} groups are missing")
     else:
         part = payload(b, header)
-        background, primitives = read_primitives(part, header)
+        background, gaussians = read_gaussians(part, header)
         b.at = part.at
     start = b.at
     if header.detail:
@@ -1880,7 +1880,7 @@ def read_what_is_left(data, header, notes):
         b.at, gone = min(len(data), start + header.exact.detail), []
         exact, count = exact_tiles(b, header, gone), tile_count(header, 1 << header.exact.side)
         notes.append(f"{count if exact is None else len(gone)} of {count} tiles of the exact layer are missing")
-    return background, primitives, tiles or [], exact or []
+    return background, gaussians, tiles or [], exact or []
 
 
 def decode(data, partial=False, size=None):
@@ -1888,7 +1888,7 @@ def decode(data, partial=False, size=None):
     header, notes = Header(data), []
     if math.prod(size or header.size) * header.channels > MOST_SAMPLES or header.count > MOST_PRIMITIVES:
         width, height = size or header.size
-        raise TooMuch(f"{width} × {height} pixels, {header.count} primitives")
+        raise TooMuch(f"{width} × {height} pixels, {header.count} Gaussians")
     try:
         picture = read(data, header, notes)
     except Illegal as e:

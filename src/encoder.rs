@@ -61,12 +61,12 @@ impl Encoder {
         self.target(Target::Bytes(bytes))
     }
 
-    /// Sets the target [`Target::Primitives`]: the number of Gaussians, with steps fine enough for them. Such a file
+    /// Sets the target [`Target::Gaussians`]: the number of Gaussians, with steps fine enough for them. Such a file
     /// has no detail layer.
     #[must_use]
-    #[doc(alias("gaussians", "splats"))]
-    pub fn primitives(self, count: u32) -> Self {
-        self.target(Target::Primitives(count))
+    #[doc(alias("primitives", "splats"))]
+    pub fn gaussians(self, count: u32) -> Self {
+        self.target(Target::Gaussians(count))
     }
 
     /// Sets the target [`Target::Psnr`]: the PSNR in dB that the file reaches with as few bytes as possible. It must be

@@ -44,7 +44,7 @@ pub enum Error {
         asked: Target,
         /// File size that the target allows, bytes.
         allowed: u64,
-        /// File size without any primitive, bytes.
+        /// File size without any Gaussian, bytes.
         needed: u64,
         /// Size of the ICC profile, bytes; included in `needed`.
         icc: u64,
@@ -224,7 +224,7 @@ impl fmt::Display for Error {
                     }
                     _ => write!(f, "{allowed} bytes cannot")?,
                 }
-                write!(f, " hold the picture: {needed} are needed without any primitive")?;
+                write!(f, " hold the picture: {needed} are needed without any Gaussian")?;
                 match (icc, exif) {
                     (0, 0) => Ok(()),
                     (0, exif) => write!(f, ", {exif} of them for the EXIF block"),
@@ -400,11 +400,11 @@ mod tests {
         let too_small = |asked, icc, exif| Error::TooSmall { asked, allowed: 40, needed: 3000, icc, exif }.to_string();
         assert_eq!(
             too_small(Target::Bytes(40), 0, 0),
-            "40 bytes cannot hold the picture: 3000 are needed without any primitive"
+            "40 bytes cannot hold the picture: 3000 are needed without any Gaussian"
         );
         assert_eq!(
             too_small(Target::Ratio(50.0), 0, 2900),
-            "a ratio of 50 leaves 40 bytes, which cannot hold the picture: 3000 are needed without any primitive, 2900 of \
+            "a ratio of 50 leaves 40 bytes, which cannot hold the picture: 3000 are needed without any Gaussian, 2900 of \
              them for the EXIF block"
         );
         for (ratio, said) in [(12.5, "a ratio of 12.5 "), (2000.0, "a ratio of 2000 "), (0.05, "a ratio of 0.05 ")] {

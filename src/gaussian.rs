@@ -5,7 +5,7 @@
 
 use crate::depth::Depth;
 
-/// Radius of a primitive's support in units of its scales (spec §5.2).
+/// Radius of a Gaussian's support in units of its scales (spec §5.2).
 pub const CUTOFF: f32 = 3.5;
 
 /// Offset subtracted from a Gaussian's weight so that it is continuous at the edge of the support: `exp(−CUTOFF²/2)`.
@@ -26,7 +26,7 @@ pub const MIN_SCALE: f32 = 0.25;
 #[cfg(feature = "encode")]
 pub const MAX_SCALE: f32 = 1_048_576.0;
 
-/// One primitive: a 2D Gaussian with a constant colour.
+/// One Gaussian: a 2D Gaussian with a constant colour.
 ///
 /// Rust, Python and JavaScript have its values in the same order and units: mean x and y (pixels, the centre of the
 /// first pixel is at (0.5, 0.5)), scale along the major and the minor axis (pixels), rotation (radians, from x towards
@@ -56,8 +56,8 @@ impl Gaussian {
     }
 }
 
-/// Rule that combines the primitives of a picture into a colour (spec §5.3). `wᵢ` and `cᵢ` are the weights and colours
-/// of the primitives, `b` is the background and `ε` is 1/128.
+/// Rule that combines the Gaussians of a picture into a colour (spec §5.3). `wᵢ` and `cᵢ` are the weights and colours
+/// of the Gaussians, `b` is the background and `ε` is 1/128.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Blend {
     /// `I(x) = (Σ wᵢ cᵢ + ε b) / (Σ wᵢ + ε)`.
@@ -110,7 +110,7 @@ impl Channels {
 }
 
 /// A picture as Gaussians with float parameters: what a file stores
-/// ([`SplatImage::gaussians`](crate::SplatImage::gaussians)), and what [`Renderer`](crate::Renderer) and
+/// ([`SsplatImage::gaussians`](crate::SsplatImage::gaussians)), and what [`Renderer`](crate::Renderer) and
 /// `Encoder::encode_gaussians` take.
 ///
 /// A file can also have a detail layer, which is not part of this.
@@ -125,10 +125,10 @@ pub struct Gaussians {
     /// Number of bits per sample of the picture that a file of these Gaussians represents.
     /// [`Renderer`](crate::Renderer) renders at any depth.
     pub depth: Depth,
-    /// Rule that combines the primitives.
+    /// Rule that combines the Gaussians.
     pub blend: Blend,
     /// Background colour `b`.
     pub background: [f32; 4],
-    /// The primitives, in any order.
+    /// The Gaussians, in any order.
     pub list: Vec<Gaussian>,
 }

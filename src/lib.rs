@@ -13,7 +13,7 @@
 //! # Encoding
 //!
 //! [`Encoder`] has a setter for each option. The target is a perceptual quality, a [ratio](Encoder::ratio) (raw size
-//! divided by file size), a size in [bytes](Encoder::bytes), a [PSNR](Encoder::psnr) or a number of primitives; see
+//! divided by file size), a size in [bytes](Encoder::bytes), a [PSNR](Encoder::psnr) or a number of Gaussians; see
 //! [`Target`]. The default is a quality of 70: hard to tell from the original side by side.
 //! [`effort`](Encoder::effort) and [`time`](Encoder::time) trade time for quality.
 //!
@@ -26,7 +26,7 @@
 //!
 //! let encoded = Encoder::new().bytes(120).effort(1).encode(&pixels)?;
 //! assert!(encoded.bytes.len() <= 120);
-//! println!("{} primitives, {:.2} dB", encoded.report.primitives, encoded.report.psnr);
+//! println!("{} Gaussians, {:.2} dB", encoded.report.Gaussians, encoded.report.psnr);
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
@@ -57,7 +57,7 @@
 //! # Rendering regions
 //!
 //! A viewer renders a file many times. [`Reader`] reads the header of bytes in memory, of a [file](Reader::open) or of
-//! any [`std::io::Read`](Reader::from_read), and [`Reader::read`] the rest. The resulting [`SplatImage`] renders any
+//! any [`std::io::Read`](Reader::from_read), and [`Reader::read`] the rest. The resulting [`SsplatImage`] renders any
 //! [`View`]: a region of the picture at a size. Only what is visible in the view is rendered. [`Reader::read_for`]
 //! reads only the data that a view needs, which is little for a small region of a large file.
 //!
@@ -79,13 +79,13 @@
 //! ```
 //!
 //! A view also selects the [layers](View::layers) of the file: the Gaussians, the detail layer or both.
-//! [`SplatImage::render_into`] renders into the caller's memory, and [`SplatImage::renderer`] returns a [`Renderer`]
+//! [`SsplatImage::render_into`] renders into the caller's memory, and [`SsplatImage::renderer`] returns a [`Renderer`]
 //! that renders a view band by band. The results have the same bits for any number of threads and any division into
 //! parts.
 //!
 //! # Gaussians
 //!
-//! [`SplatImage::gaussians`] returns the [`Gaussians`] of a file with float parameters, and
+//! [`SsplatImage::gaussians`] returns the [`Gaussians`] of a file with float parameters, and
 //! [`Encoder::encode_gaussians`] writes Gaussians from any source to a file. A [`Renderer`] renders them without a
 //! file.
 //!
@@ -277,7 +277,7 @@ mod weighting;
 pub use bitstream::MissingParts;
 pub use bitstream::cicp::Cicp;
 pub use bitstream::splats::{Layout, Metadata};
-pub use decode::{Decoded, Decoder, Reader, SplatImage};
+pub use decode::{Decoded, Decoder, Reader, SsplatImage};
 #[cfg(feature = "encode")]
 pub use encode::{EncodeReport, Encoded, Progress, Workers, work_on_tile};
 #[cfg(feature = "encode")]

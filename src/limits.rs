@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::parameter::Limit;
 
-/// Limits on the cost of decoding. The defaults allow a picture of 16K resolution with two million primitives.
+/// Limits on the cost of decoding. The defaults allow a picture of 16K resolution with two million Gaussians.
 ///
 /// Set stricter limits for files from untrusted sources. A file that exceeds a limit is refused with
 /// [`Error::LimitExceeded`], which names the field.
@@ -23,8 +23,8 @@ pub struct Limits {
     pub width: u32,
     /// Maximum height in pixels; by default 2²⁰, the maximum of the format.
     pub height: u32,
-    /// Maximum number of primitives; by default 2²⁴.
-    pub primitives: u64,
+    /// Maximum number of Gaussians; by default 2²⁴.
+    pub gaussians: u64,
     /// Maximum number of (Gaussian, tile) pairs that rasterizing one view may visit; by default 2²⁸.
     pub tile_pairs: u64,
     /// Maximum work of rasterizing one view; by default 3·2³⁴. On the CPU, each pixel that a Gaussian covers costs 1
@@ -34,7 +34,7 @@ pub struct Limits {
     #[doc(alias = "time")]
     pub work: u64,
     /// Maximum mean number of Gaussians over a pixel of a view; by default 256. It bounds the work in proportion to
-    /// output pixels and primitives. Work of up to 2³² + 4096 × primitives is exempt, so that small pictures may be
+    /// output pixels and Gaussians. Work of up to 2³² + 4096 × Gaussians is exempt, so that small pictures may be
     /// dense.
     pub overlap: u64,
     /// Maximum number of bytes that decoding may have allocated at the same time, including the output; by default 4
@@ -45,7 +45,7 @@ pub struct Limits {
     pub metadata: u64,
 }
 
-/// Work that [`Limits::overlap`] does not restrict: a constant, and an amount for each primitive.
+/// Work that [`Limits::overlap`] does not restrict: a constant, and an amount for each Gaussian.
 const FREE_WORK: u64 = 1 << 32;
 const FREE_WORK_EACH: u64 = 4096;
 
@@ -54,7 +54,7 @@ impl Default for Limits {
         Limits {
             width: 1 << 20,
             height: 1 << 20,
-            primitives: 16 << 20,
+            gaussians: 16 << 20,
             tile_pairs: 256 << 20,
             work: 3 << 34,
             overlap: 256,
@@ -81,7 +81,7 @@ impl Limits {
     setters! {
         width: u32,
         height: u32,
-        primitives: u64,
+        gaussians: u64,
         tile_pairs: u64,
         work: u64,
         overlap: u64,
@@ -100,9 +100,9 @@ impl Limits {
         Ok(())
     }
 
-    /// Returns the maximum work for a view of `pixels` pixels of a picture with `primitives` primitives.
-    pub(crate) fn max_work(&self, pixels: u64, primitives: u64) -> u64 {
-        let free = FREE_WORK + FREE_WORK_EACH * primitives;
+    /// Returns the maximum work for a view of `pixels` pixels of a picture with `gaussians` Gaussians.
+    pub(crate) fn max_work(&self, pixels: u64, gaussians: u64) -> u64 {
+        let free = FREE_WORK + FREE_WORK_EACH * gaussians;
         self.work.min(self.overlap.saturating_mul(pixels).saturating_add(free))
     }
 }

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::gaussian::{Gaussian, Gaussians};
 use crate::instant::Instant;
 use crate::limits::Limits;
-use crate::options::{Backend, Detail, EncodeOptions, Outside, Precision, Thumbnail, Trace};
+use crate::options::{Backend, Detail, EncodeOptions, Outside, Precision, Thumbnail};
 use crate::parameter::{Limit, Parameter};
 use crate::quantize::Quantizer;
 use crate::target::Target;
@@ -50,7 +50,7 @@ pub(crate) fn encode_gaussians(given: &Gaussians, options: &EncodeOptions) -> Re
     let (splats, bytes) = pack(given, options)?;
     check_opens(&splats)?;
     let report = EncodeReport {
-        primitives: splats.gaussians.len(),
+        gaussians: splats.gaussians.len(),
         psnr: f64::NAN,
         float_psnr: f64::NAN,
         seconds: start.elapsed().as_secs_f64(),
@@ -63,7 +63,7 @@ pub(crate) fn encode_gaussians(given: &Gaussians, options: &EncodeOptions) -> Re
 fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
     let plain = EncodeOptions::default();
     let target = match options.target {
-        Target::Primitives(_) => Some(Parameter::Primitives),
+        Target::Gaussians(_) => Some(Parameter::Gaussians),
         Target::Psnr(_) => Some(Parameter::Psnr),
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Some(Parameter::Quality),
@@ -80,7 +80,7 @@ fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
         (Parameter::Detail, matches!(options.detail, Detail::GaussianShare(_))),
         (Parameter::Thumbnail, matches!(options.thumbnail, Thumbnail::Bytes(_))),
         (Parameter::Tiles, options.tiles.is_some()),
-        (Parameter::Trace, options.trace == Trace::On),
+        (Parameter::Other("inspector"), options.inspector.is_some()),
     ];
     match target.or(is_set.into_iter().find(|(_, is_set)| *is_set).map(|(parameter, _)| parameter)) {
         Some(parameter) => Err(Error::Parameter { parameter, problem: "it does not apply to given Gaussians".into() }),
@@ -94,7 +94,7 @@ fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
 /// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`EncodeOptions::outside`] chooses the
 /// treatment of means outside the picture.
 fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec<u8>)> {
-    Limits::check(Limit::Primitives, given.list.len() as u64, Limits::default().primitives)?;
+    Limits::check(Limit::Gaussians, given.list.len() as u64, Limits::default().gaussians)?;
     given.list.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
     if !given.background.iter().all(|v| v.is_finite()) {
         let problem = format!("{:?} is not finite", given.background);

@@ -44,8 +44,6 @@ pub enum Parameter {
     Pixels,
     /// Precision of given Gaussians.
     Precision,
-    /// Number of primitives.
-    Primitives,
     /// PSNR of the file.
     Psnr,
     /// Perceptual quality of the file.
@@ -72,8 +70,6 @@ pub enum Parameter {
     Tiles,
     /// Time limit of the encode.
     Time,
-    /// Measurements during the encode.
-    Trace,
     /// Quality measure of the fit.
     Tune,
     /// View to render.
@@ -108,7 +104,6 @@ impl Parameter {
             Parameter::Path => "path",
             Parameter::Pixels => "pixels",
             Parameter::Precision => "precision",
-            Parameter::Primitives => "primitives",
             Parameter::Psnr => "psnr",
             Parameter::Quality => "quality",
             Parameter::Ratio => "ratio",
@@ -122,7 +117,6 @@ impl Parameter {
             Parameter::Thumbnail => "thumbnail",
             Parameter::Tiles => "tiles",
             Parameter::Time => "time",
-            Parameter::Trace => "trace",
             Parameter::Tune => "tune",
             Parameter::View => "view",
             Parameter::Width => "width",
@@ -145,8 +139,8 @@ pub enum Limit {
     Width,
     /// [`Limits::height`](crate::Limits::height).
     Height,
-    /// [`Limits::primitives`](crate::Limits::primitives).
-    Primitives,
+    /// [`Limits::gaussians`](crate::Limits::gaussians).
+    Gaussians,
     /// [`Limits::tile_pairs`](crate::Limits::tile_pairs).
     TilePairs,
     /// [`Limits::work`](crate::Limits::work), or [`Limits::overlap`](crate::Limits::overlap).
@@ -164,7 +158,7 @@ impl Limit {
         match self {
             Limit::Width => "width",
             Limit::Height => "height",
-            Limit::Primitives => "primitives",
+            Limit::Gaussians => "gaussians",
             Limit::TilePairs => "tile_pairs",
             Limit::Work => "work",
             Limit::Alloc => "alloc",

@@ -212,7 +212,7 @@ impl PackedSplats {
         Quantizer::new(&self.steps, self.layout, [self.width, self.height], self.channels)
     }
 
-    /// Returns all Gaussians. [`SplatImage::gaussians`](crate::SplatImage::gaussians) checks their memory first.
+    /// Returns all Gaussians. [`SsplatImage::gaussians`](crate::SsplatImage::gaussians) checks their memory first.
     #[must_use]
     pub fn to_gaussians(&self) -> Gaussians {
         let q = self.quantizer();

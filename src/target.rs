@@ -4,7 +4,7 @@
 #[cfg(feature = "quality-hook")]
 pub const DEFAULT_QUALITY: f64 = 70.0;
 
-/// Target of an encode: the size, the number of primitives, or the quality of the file.
+/// Target of an encode: the size, the number of Gaussians, or the quality of the file.
 ///
 /// Screens, pages and drawings are stored without loss if that fits into the requested size, or if it takes no more
 /// bytes than the requested quality. If it does not fit, the file has an exact layer with colours near those of the
@@ -15,7 +15,7 @@ pub const DEFAULT_QUALITY: f64 = 70.0;
 #[doc(alias("quality", "rate_control"))]
 pub enum Target {
     /// The default quality of 70 points, as `Target::Quality(70.0)`. A build without the feature `quality` measures no
-    /// quality: its default is a ratio of 25, with at least 80 bytes for the primitives, so that no picture is too small
+    /// quality: its default is a ratio of 25, with at least 80 bytes for the Gaussians, so that no picture is too small
     /// for it. The bytes of an ICC profile and an EXIF block are not counted.
     #[default]
     Auto,
@@ -28,9 +28,9 @@ pub enum Target {
     /// not fit.
     #[doc(alias("size", "filesize"))]
     Bytes(u64),
-    /// Number of primitives.
+    /// Number of Gaussians.
     #[doc(alias("gaussians", "splats"))]
-    Primitives(u32),
+    Gaussians(u32),
     /// PSNR against the source in dB, above 0, where errors of colours are weighted by the alpha of the source. The result is the smallest file found that reaches it. Encoding fails
     /// with [`Error::Parameter`](crate::Error::Parameter) if even a file of twice the raw size does not reach it. With
     /// a time limit, the result is the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr)

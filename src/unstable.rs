@@ -8,12 +8,12 @@
 pub use crate::bitstream::header::Header;
 pub use crate::decode::{decode, decode_into};
 #[cfg(feature = "encode")]
-pub use crate::encode::{MAX_WHOLE_PIXELS, Texture, TracePoint, divide, encode, encode_with_progress};
+pub use crate::encode::{MAX_WHOLE_PIXELS, Texture, divide, encode, encode_with_progress};
 #[cfg(all(feature = "encode", feature = "image"))]
 pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
 pub use crate::options::DecodeOptions;
 #[cfg(feature = "encode")]
-pub use crate::options::{EncodeOptions, Needs, Outside, Precision, Recipe, Rung, Trace};
+pub use crate::options::{EncodeOptions, Needs, Outside, Precision, Recipe, Rung};
 #[cfg(feature = "encode")]
 pub use crate::pack::FINEST;
 #[cfg(feature = "encode")]

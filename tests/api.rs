@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use ssplat::{
     Blend, Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Gaussian, Gaussians, Layers, Layout, Limits,
-    Parameter, Pixels, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, Target, Thumbnail, Tune, View,
+    Parameter, Pixels, Reader, Rect, Renderer, Samples, SamplesMut, SsplatImage, Target, Thumbnail, Tune, View,
 };
 
 fn picture() -> Pixels {
@@ -30,9 +30,9 @@ fn an_encoder_is_set_once_and_encodes_many_pictures() {
 }
 
 #[test]
-fn a_file_has_the_requested_number_of_primitives() {
-    let bytes = Encoder::new().primitives(40).effort(1).encode(&picture()).unwrap().bytes;
-    assert_eq!(Reader::new(&bytes, &Limits::default()).unwrap().primitives(), 40);
+fn a_file_has_the_requested_number_of_gaussians() {
+    let bytes = Encoder::new().gaussians(40).effort(1).encode(&picture()).unwrap().bytes;
+    assert_eq!(Reader::new(&bytes, &Limits::default()).unwrap().gaussian_count(), 40);
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn gaussians_that_were_stored_once_keep_their_values_when_they_are_stored_again(
                 equal.list.iter_mut().for_each(|g| g.scale = [9.45, 2.0]);
                 for given in [scattered, equal] {
                     let first = encoder.encode_gaussians(&given).unwrap();
-                    assert_eq!(first.report.primitives, given.list.len());
+                    assert_eq!(first.report.gaussians, given.list.len());
                     let once = gaussians_of(&first.bytes);
                     assert_eq!((once.channels, once.depth, once.blend), (channels, depth, blend));
                     let second = encoder.encode_gaussians(&once).unwrap();
@@ -188,7 +188,8 @@ fn gaussians_that_were_stored_once_keep_their_values_when_they_are_stored_again(
 fn gaussians_of_a_file_render_its_picture() {
     let bytes = Encoder::new().bytes(600).effort(1).detail(Detail::Off).encode(&picture()).unwrap().bytes;
     let gaussians = gaussians_of(&bytes);
-    let renderer = Renderer::new(&gaussians, &View::full(&gaussians), &Limits::default()).unwrap();
+    let renderer =
+        Renderer::new(&gaussians, &View::new(gaussians.width, gaussians.height), &Limits::default()).unwrap();
     assert_eq!(renderer.render(gaussians.depth).unwrap(), Decoder::new().decode(&bytes).unwrap().pixels);
     // Their memory is held against the limits.
     let mut limits = Limits::default();
@@ -212,7 +213,7 @@ fn options_and_values_that_gaussians_cannot_have_are_named_in_the_error() {
         (Encoder::new().time(std::time::Duration::from_secs(1)), "time"),
         (Encoder::new().detail(Detail::GaussianShare(0.5)), "detail"),
         (Encoder::new().thumbnail(Thumbnail::Bytes(100)), "thumbnail"),
-        (Encoder::new().target(Target::Primitives(9)), "primitives"),
+        (Encoder::new().target(Target::Gaussians(9)), "gaussians"),
         (Encoder::new().levels(2).layout(Layout::Planes), "levels"),
         (Encoder::new().bytes(20), "bytes"),
     ] {
@@ -250,7 +251,7 @@ fn all_public_types_can_be_sent_to_and_shared_between_threads() {
     const {
         is_send_and_sync::<(Encoder, Encoded, EncodeReport, Progress, Chosen, SkipReason, Skipped, StageTime)>();
         is_send_and_sync::<(Backend, Detail, HiddenColors, MetadataPolicy, Target, Thumbnail, Tune)>();
-        is_send_and_sync::<(Decoder, Decoded, Reader<'_>, SplatImage, Renderer, View, Rect, SamplesMut<'_>)>();
+        is_send_and_sync::<(Decoder, Decoded, Reader<'_>, SsplatImage, Renderer, View, Rect, SamplesMut<'_>)>();
         is_send_and_sync::<(Damage, Layers, Layout, Limits, Metadata, MissingParts)>();
         is_send_and_sync::<(Pixels, Samples, Depth, Channels, Blend, Gaussian, Gaussians)>();
         is_send_and_sync::<(Error, FormatError, GpuError, Limit, Parameter)>();

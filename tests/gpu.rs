@@ -16,7 +16,7 @@ use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
     Backend, Blend, Channels, Depth, Detail, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits, Parameter,
-    Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
+    Pixels, Reader, Rect, Samples, SsplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -47,20 +47,17 @@ fn encoder(device: &Device) {
     let pixels: Vec<u8> = (0..48 * 40 * 3).map(|i| (i * 7 % 251) as u8).collect();
     let pixels = Pixels::new(48, 40, Channels::Rgb, Samples::U8(pixels)).unwrap();
     let mut options = EncodeOptions::default();
-    (options.target, options.effort, options.backend) = (Target::Primitives(40), 2, Backend::Gpu);
+    (options.target, options.effort, options.backend) = (Target::Gaussians(40), 2, Backend::Gpu);
     let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     let chosen = &encoded.report.chosen;
     assert_eq!((chosen.backend, &*chosen.device), (Backend::Gpu, device.name()), "{chosen}");
     // On the CPU, three seeds reach 20.5, 22.1 and 22.6 dB, and the mean colour alone 10.9. The margin is 2.5 dB.
-    assert!(encoded.report.primitives > 30 && encoded.report.psnr > 18.0, "{:?}", encoded.report);
+    assert!(encoded.report.gaussians > 30 && encoded.report.psnr > 18.0, "{:?}", encoded.report);
     assert_eq!(ssplat::unstable::encode(&pixels, &options).unwrap().bytes, encoded.bytes, "a second run");
-    for tune in [Tune::Psnr, Tune::Ssim] {
-        let mut options = options.clone();
-        options.tune = Some(tune);
-        let tuned = ssplat::unstable::encode(&pixels, &options).unwrap();
-        assert_eq!(tuned.report.chosen.backend, Backend::Gpu, "{tune:?}");
-        assert_ne!(tuned.bytes, encoded.bytes, "{tune:?} weighs as the default does");
-    }
+    options.tune = Some(Tune::Psnr);
+    let tuned = ssplat::unstable::encode(&pixels, &options).unwrap();
+    assert_eq!(tuned.report.chosen.backend, Backend::Gpu);
+    assert_ne!(tuned.bytes, encoded.bytes, "all errors weigh as by default");
 }
 
 fn tiles(device: &Device) {
@@ -109,7 +106,7 @@ fn renders_are_within_one_code_value(device: &Device) {
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         for blend in [Blend::Normalized, Blend::Sum] {
             let picture = scene(100, 75, 250, channels, blend, 1);
-            let worst = worst(device, &picture, &View::full(&picture), Depth::Eight);
+            let worst = worst(device, &picture, &View::new(picture.width, picture.height), Depth::Eight);
             assert!(worst <= 1, "{channels:?} {blend:?}: {worst}");
         }
     }
@@ -121,7 +118,7 @@ const TOLERANCE_16_BIT: u16 = 32;
 
 fn sixteen_bits(device: &Device) {
     let picture = scene(61, 83, 200, Channels::Rgba, Blend::Normalized, 1);
-    let worst = worst(device, &picture, &View::full(&picture), Depth::Sixteen);
+    let worst = worst(device, &picture, &View::new(picture.width, picture.height), Depth::Sixteen);
     assert!(worst <= TOLERANCE_16_BIT, "{worst}");
 }
 
@@ -132,14 +129,14 @@ fn needles(device: &Device) {
             // The maximum aspect of the encoder.
             g.scale = [60.0, 0.6];
         }
-        let worst = worst(device, &picture, &View::full(&picture), Depth::Eight);
+        let worst = worst(device, &picture, &View::new(picture.width, picture.height), Depth::Eight);
         assert!(worst <= 1, "{blend:?}: {worst}");
     }
 }
 
 fn regions_and_sizes(device: &Device) {
     let picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 1);
-    let full = View::full(&picture);
+    let full = View::new(picture.width, picture.height);
     let region = full.crop(Rect::new(37, 21, 90, 70)).unwrap();
     let views = [
         region,
@@ -163,7 +160,7 @@ fn reduced(device: &Device) {
         // digits of the other.
         g.scale = [60.0, 0.6];
     }
-    let full = View::full(&picture);
+    let full = View::new(picture.width, picture.height);
     let reduced = |view: View, width, height| view.resized(width, height).unwrap();
     let region = full.crop(Rect::new(37, 21, 90, 70)).unwrap();
     for (view, of) in [
@@ -199,13 +196,13 @@ fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Ve
     to_bytes(&with_layer(ground, head, Levels::new(71))).unwrap()
 }
 
-fn opened(bytes: &[u8]) -> SplatImage {
+fn opened(bytes: &[u8]) -> SsplatImage {
     Reader::new(bytes, &Limits::default()).unwrap().read().unwrap()
 }
 
 /// Returns the largest difference between the GPU's and the CPU's rendering of `view`, in code values, and whether the
 /// layer is visible in it.
-fn apart(device: &Device, opened: &SplatImage, view: &View) -> (u16, bool) {
+fn apart(device: &Device, opened: &SsplatImage, view: &View) -> (u16, bool) {
     let draw = |view: &View| codes(opened.render(view).unwrap().into_samples());
     let cpu = draw(view);
     let depth = opened.splats().depth;
@@ -226,7 +223,7 @@ fn apart(device: &Device, opened: &SplatImage, view: &View) -> (u16, bool) {
 fn two_layers(device: &Device) {
     // 256 rows of additions at a time, between edges of tiles; the second picture is twice as wide as that.
     let sizes = [[530, 300], [1100, 600]];
-    let full = View::of_size(530, 300);
+    let full = View::new(530, 300);
     let region = full.crop(Rect::new(201, 150, 300, 140)).unwrap();
     let resized = |view: View, width, height| view.resized(width, height).unwrap();
     let views = [
@@ -258,7 +255,7 @@ fn two_layers(device: &Device) {
         }
     }
     let bytes = layered(Channels::Rgba, Depth::Eight, Blend::Normalized, sizes[1]);
-    let full = View::of_size(1100, 600);
+    let full = View::new(1100, 600);
     for view in [full, full.crop(Rect::new(30, 100, 1000, 480)).unwrap(), resized(full, 1000, 700)] {
         let (off, is_seen) = apart(device, &opened(&bytes), &view);
         assert!(off <= 1 && is_seen, "{view:?}: {off}");
@@ -274,7 +271,7 @@ fn two_layers(device: &Device) {
 
 fn layers_within_limits(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
-    let view = View::of_size(530, 300);
+    let view = View::new(530, 300);
     for (layers, is_refused) in [(Layers::Both, true), (Layers::Gaussians, false)] {
         let view = view.layers(layers);
         let mut file = opened(&bytes);
@@ -295,7 +292,7 @@ fn layers_within_limits(device: &Device) {
 
 fn parts(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
-    let whole = View::of_size(530, 300);
+    let whole = View::new(530, 300);
     let region = whole.crop(Rect::new(10, 20, 100, 50)).unwrap();
     let file = Reader::new(&bytes, &Limits::default()).unwrap().read_for(&region).unwrap();
     let mut renderer = Renderer::of(device, &file).unwrap();
@@ -306,7 +303,7 @@ fn parts(device: &Device) {
 
 fn same_bits(device: &Device) {
     let picture = scene(128, 128, 1500, Channels::Rgb, Blend::Normalized, 1);
-    let view = View::full(&picture);
+    let view = View::new(picture.width, picture.height);
     let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
     let first = renderer.render(&view, Depth::Sixteen).unwrap();
     for _ in 0..3 {
@@ -320,7 +317,7 @@ fn bands(device: &Device) {
     // with two rows of samples per output row.
     for height in [20, 40] {
         let picture = scene(1 << 20, height, 40, Channels::Grey, Blend::Sum, 1);
-        let view = View::full(&picture).resized(1 << 20, 20).unwrap();
+        let view = View::new(picture.width, picture.height).resized(1 << 20, 20).unwrap();
         let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
         let whole = codes(renderer.render(&view, Depth::Sixteen).unwrap().into_samples());
         assert_eq!(renderer.bands().0, 16, "rows of a band");
@@ -334,7 +331,7 @@ fn bands(device: &Device) {
 
 fn textures_and_buffers(device: &Device) {
     let picture = scene(70, 40, 120, Channels::GreyAlpha, Blend::Normalized, 1);
-    let view = View::full(&picture);
+    let view = View::new(picture.width, picture.height);
     let (d, queue) = wgpu_30::device_and_queue(device);
     let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
     let want: Vec<u8> = codes(renderer.render(&view, Depth::Eight).unwrap().into_samples())
@@ -400,7 +397,7 @@ fn read(device: &Device, buffer: &wgpu::Buffer) -> Vec<u8> {
 fn empty(device: &Device) {
     let mut picture = scene(20, 20, 1, Channels::Rgb, Blend::Normalized, 1);
     picture.list.clear();
-    assert_eq!(render(device, &picture, &View::full(&picture), Depth::Eight)[..3], [102, 179, 51]);
+    assert_eq!(render(device, &picture, &View::new(picture.width, picture.height), Depth::Eight)[..3], [102, 179, 51]);
 }
 
 fn bad_primitives(device: &Device) {
@@ -422,18 +419,20 @@ fn bad_primitives(device: &Device) {
 fn limits(device: &Device) {
     let picture = scene(128, 128, 300, Channels::Rgb, Blend::Normalized, 1);
     let mut limits = Limits::default();
-    limits.primitives = 299;
+    limits.gaussians = 299;
     assert!(matches!(
         Renderer::new(device, &picture, &limits),
-        Err(Error::LimitExceeded { limit: Limit::Primitives, .. })
+        Err(Error::LimitExceeded { limit: Limit::Gaussians, .. })
     ));
     let mut limits = Limits::default();
     limits.tile_pairs = 300;
-    let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
+    let drawn = Renderer::new(device, &picture, &limits)
+        .unwrap()
+        .render(&View::new(picture.width, picture.height), Depth::Eight);
     assert!(matches!(drawn, Err(Error::LimitExceeded { limit: Limit::TilePairs, .. })), "{drawn:?}");
     // The 256 pixels of each pair count, in all bands together. With a limit one below the total, the last band is not
     // rendered.
-    let view = View::full(&picture);
+    let view = View::new(picture.width, picture.height);
     let within = |work: u64| {
         let mut limits = Limits::default();
         limits.work = work;
@@ -456,7 +455,9 @@ fn limits(device: &Device) {
     assert_eq!(within(enough).unwrap(), unlimited.unwrap());
     let mut limits = Limits::default();
     limits.alloc = 128 * 128 * 3 - 1;
-    let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
+    let drawn = Renderer::new(device, &picture, &limits)
+        .unwrap()
+        .render(&View::new(picture.width, picture.height), Depth::Eight);
     assert!(matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Alloc, .. })), "{drawn:?}");
 }
 
@@ -476,7 +477,7 @@ fn lost(_: &Device) {
     let picture = scene(32, 32, 30, Channels::Rgb, Blend::Normalized, 1);
     let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
     wgpu_30::device_and_queue(&device).0.destroy();
-    let drawn = renderer.render(&View::full(&picture), Depth::Eight);
+    let drawn = renderer.render(&View::new(picture.width, picture.height), Depth::Eight);
     assert!(matches!(drawn, Err(Error::Gpu(GpuError::Lost { .. }))), "{drawn:?}");
     // During a fit.
     let device = Device::open(Adapters::Any).unwrap();

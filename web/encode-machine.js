@@ -4,8 +4,8 @@ import { SsplatError } from "./error.js"
 
 const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
 // In the order of the module's numbers.
-const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels", "lossless"]
-const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
+const settings = ["ratio", "bytes", "psnr", "quality", "gaussians", "effort", "tune", "time", "seed", "detail", "levels", "lossless"]
+const words = { tune: ["psnr", "iq"], detail: ["off", "auto"] }
 
 // The initial memory of a module in pages of 64 KiB; it grows up to the limit.
 const least = 64, page = 65536
@@ -73,11 +73,11 @@ export function run({ module, scorer, job }, progress) {
     const piece = which => bytesAt(wasm.piece(which), wasm.piece_length(which)).slice()
     if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
     const lines = which => new TextDecoder().decode(piece(which)).split("\n").filter(line => line).map(line => line.split("\t"))
-    const [primitives, psnr, quality, seconds] = [0, 1, 2, 3].map(k => wasm.number(k))
+    const [gaussians, psnr, quality, seconds] = [0, 1, 2, 3].map(k => wasm.number(k))
     return {
       bytes: piece(0),
       report: {
-        primitives, psnr, seconds,
+        gaussians, psnr, seconds,
         ...Number.isNaN(quality) ? {} : { quality },
         stages: lines(1).map(([name, microseconds]) => ({ name, seconds: microseconds / 1e6 })),
         leftOut: lines(2).map(([what, bytes]) => ({ what, bytes: +bytes })),

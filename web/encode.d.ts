@@ -17,7 +17,7 @@ export interface EncodePixels {
   channels?: 1 | 2 | 3 | 4
 }
 
-/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality`, `primitives` and `lossless` may be given; by default the quality is 70. */
+/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality`, `gaussians` and `lossless` may be given; by default the quality is 70. */
 export interface EncodeOptions {
   /** Bytes of the samples divided by bytes of the file. */
   ratio?: number
@@ -31,13 +31,13 @@ export interface EncodeOptions {
    */
   quality?: number
   /** Number of Gaussians. */
-  primitives?: number
+  gaussians?: number
   /** true: the file decodes to the samples of the picture. Colours under alpha 0 become black. */
   lossless?: boolean
   /** 1 to 9, by default 5; higher efforts take longer and give better pictures. */
   effort?: number
   /** The measure to favour: by default "iq" (perceptual quality), or "psnr" if a PSNR is requested. */
-  tune?: "psnr" | "ssim" | "iq"
+  tune?: "psnr" | "iq"
   /** Time limit, seconds. The result is the best state so far, so it depends on the speed of the machine. */
   time?: number
   seed?: number
@@ -69,7 +69,7 @@ export interface EncodeOptions {
 
 export interface EncodeReport {
   /** Number of Gaussians. */
-  primitives: number
+  gaussians: number
   /** PSNR in dB over the decoded samples; Infinity if all are equal. */
   psnr: number
   /** SSIMULACRA2 score, if a quality is the target, as by default. */

@@ -5,7 +5,7 @@ import { run, score } from "./encode-machine.js"
 
 export { SsplatError, names as optionNames }
 
-const targets = ["ratio", "bytes", "psnr", "quality", "primitives", "lossless"]
+const targets = ["ratio", "bytes", "psnr", "quality", "gaussians", "lossless"]
 const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "cicp", "icc", "exif", "orientation", "limits", "worker", "module", "scoreModule", "signal", "onProgress"]
 // The quality of a file for which no target is given, as in the program.
 const defaultQuality = 70
@@ -99,7 +99,7 @@ function jobOf(pixels, options) {
   number("bytes", 1, Number.MAX_SAFE_INTEGER)
   number("psnr", 0, 1000, false)
   number("quality", 0, 100, false)
-  number("primitives", 0, 2 ** 32 - 1)
+  number("gaussians", 0, 2 ** 32 - 1)
   number("effort", 1, 9)
   number("time", 0, Number.MAX_VALUE, false)
   number("seed", 0, Number.MAX_SAFE_INTEGER)
@@ -108,7 +108,7 @@ function jobOf(pixels, options) {
     if (typeof options.lossless != "boolean") bad(`lossless is ${options.lossless}, neither true nor false`)
     if (options.lossless) settings.lossless = 1
   }
-  word("tune", "psnr", "ssim", "iq")
+  word("tune", "psnr", "iq")
   word("detail", "auto", "off")
   const cicp = bytesOf("cicp", Array.isArray(options.cicp) ? Uint8Array.from(options.cicp) : options.cicp)
   const icc = bytesOf("icc", options.icc), exif = bytesOf("exif", options.exif)

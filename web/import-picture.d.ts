@@ -1,7 +1,7 @@
 import type { EncodeFileOptions } from "./node.js"
 
 /** Options that the query of an import can have. */
-export type ImportOptions = Pick<EncodeFileOptions, "ratio" | "bytes" | "psnr" | "quality" | "primitives" | "effort" | "tune" | "seed" | "detail" | "levels" | "maxSide" | "placeholder">
+export type ImportOptions = Pick<EncodeFileOptions, "ratio" | "bytes" | "psnr" | "quality" | "gaussians" | "effort" | "tune" | "seed" | "detail" | "levels" | "maxSide" | "placeholder">
 
 /** Options of the plugins: the defaults for all imports. A target in a query replaces the one given here. */
 export interface PluginOptions extends ImportOptions {

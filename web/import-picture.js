@@ -6,7 +6,7 @@ import { dirname, join, parse, relative } from "node:path"
 import { SsplatError, encodeFile } from "./node.js"
 
 // Targets, which exclude each other.
-const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
+const targets = ["ratio", "bytes", "psnr", "quality", "gaussians"]
 const names = [...targets, "effort", "tune", "seed", "detail", "levels", "maxSide", "placeholder"]
 
 const fail = words => { throw new SsplatError("parameter", words) }

@@ -2,7 +2,7 @@
 import { SsplatError } from "./error.js"
 
 const kinds = [, "format", "version", "limit", "parameter", "internal"]
-const limits = ["width", "height", "primitives", "tilePairs", "work", "overlap", "alloc", "metadata"]
+const limits = ["width", "height", "gaussians", "tilePairs", "work", "overlap", "alloc", "metadata"]
 // In the order of the module's numbers.
 const layers = ["on", "off", "alone"]
 // The memory of a module never shrinks, so after a larger picture the machine is discarded.
@@ -74,8 +74,8 @@ export class Machine {
   }
 
   header(bytes, options = {}) {
-    const [[thumbnail, icc, exif, , , cicp], [width, height, channels, depth, primitives, orientation]] = this.#ask(bytes, options, "header")
-    return { width, height, channels, depth, primitives, orientation, thumbnail, cicp, icc, exif }
+    const [[thumbnail, icc, exif, , , cicp], [width, height, channels, depth, gaussians, orientation]] = this.#ask(bytes, options, "header")
+    return { width, height, channels, depth, gaussians, orientation, thumbnail, cicp, icc, exif }
   }
 
   decode(bytes, options = {}) {
@@ -90,9 +90,9 @@ export class Machine {
       out[0] = Math.max(1, Math.round(columns * out[1] / rows))
     }
     const [[data, icc, exif, , , cicp], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
-    const [columns, rows, channels, depth, primitives, orientation, missing, missingTiles, damaged] = numbers
+    const [columns, rows, channels, depth, gaussians, orientation, missing, missingTiles, damaged] = numbers
     const samples = new Uint8ClampedArray(data.buffer, 0, data.length)
-    return { width: columns, height: rows, data: samples, channels, depth, primitives, orientation, missing, missingTiles, damaged: damaged == 1, cicp, icc, exif }
+    return { width: columns, height: rows, data: samples, channels, depth, gaussians, orientation, missing, missingTiles, damaged: damaged == 1, cicp, icc, exif }
   }
 
   gaussians(bytes, options = {}) {

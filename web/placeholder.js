@@ -371,9 +371,9 @@ export function read(bytes) {
     const sum = [...values, ...off, ...axis, long, 1].map((v, k) => v + (old ? old[k] : 0))
     sums.set(at, sum[13] >= 16 ? sum.map(v => floor(v / 2)) : sum)
 
-    // Primitives of one square ascend.
+    // Gaussians of one square ascend.
     const row = [...square, major, minor, angle, ...place, ...integers], first = row.findIndex((v, k) => v != before[k])
-    if (first > 2 && row[first] < before[first]) broken("order of the primitives")
+    if (first > 2 && row[first] < before[first]) broken("order of the Gaussians")
     before = row
     return [(place[0] + .5) * power(finest + step[0]), (place[1] + .5) * power(finest + step[1]), power(major * delta - 2), power(minor * delta - 2), PI * angle / n, colour(integers)]
   })

@@ -291,12 +291,12 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     this.#shape()
     const wanted = this.#wanted(orientation)[1], draw = (file, options) => decoder().decode(file, { width: wanted, ...options }).catch(() => undefined)
     let image = await draw(bytes, { partial: true })
-    if (thumbnail.length && (!image || image.missing == image.primitives)) {
+    if (thumbnail.length && (!image || image.missing == image.gaussians)) {
       const small = await draw(thumbnail, { height: Math.max(1, Math.round(wanted * height / width)) })
       // The thumbnail has the profile of the picture.
       image = small?.channels == kind.channels && small.depth == kind.depth ? new ImageData(small.data, small.width, small.height, { colorSpace: colorSpace(icc, cicp) }) : undefined
     }
-    if (!image || signal.aborted || this.#file || image.primitives && image.missing == image.primitives) return
+    if (!image || signal.aborted || this.#file || image.gaussians && image.missing == image.gaussians) return
     paint(this.#canvas, image, orientation)
     this.#show(this.#canvas)
   }

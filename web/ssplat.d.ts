@@ -13,7 +13,7 @@ export interface Limits {
   width?: number
   /** Pixels. */
   height?: number
-  primitives?: number
+  gaussians?: number
   tilePairs?: number
   work?: number
   overlap?: number
@@ -50,7 +50,7 @@ export interface Header {
   channels: 1 | 2 | 3 | 4
   /** Bits per sample of the source. */
   depth: 8 | 16
-  primitives: number
+  gaussians: number
   /** EXIF orientation, 1 to 8; `decode` does not apply it. */
   orientation: number
   /** The thumbnail as a file; empty if there is none. */
@@ -67,12 +67,12 @@ export interface Header {
 export type Pixels = ImageData & {
   channels: 1 | 2 | 3 | 4
   depth: 8 | 16
-  primitives: number
+  gaussians: number
   orientation: number
   cicp: Uint8Array
   icc: Uint8Array
   exif: Uint8Array
-  /** Primitives that `partial` could not read. */
+  /** Gaussians that `partial` could not read. */
   missing: number
   /** Tiles of the detail layer that `partial` could not read. */
   missingTiles: number
@@ -105,7 +105,7 @@ export interface Info {
   height: number
   channels: 1 | 2 | 3 | 4
   depth: 8 | 16
-  primitives: number
+  gaussians: number
   groups: number
   /** Colours in the codebook; 0 without one. */
   codebook: number
@@ -116,12 +116,12 @@ export interface Info {
   detail: number
   /** Bytes of the exact layer; 0 without one. */
   exact: number
-  /** Primitives of each progressive level. */
+  /** Gaussians of each progressive level. */
   levels: number[]
   /** Bytes of each part of the file. */
   parts: { name: string; bytes: number }[]
   sections: { name: string; bytes: number }[]
-  /** Bits of each field over all primitives. */
+  /** Bits of each field over all Gaussians. */
   fields: { name: string; bits: number }[]
   /** Bits of each Gaussian, in the order of `gaussians`; empty in layouts where all have the same size. */
   each: Float32Array

@@ -95,7 +95,7 @@ export class Decoder {
     return asImage(await this.#ask("decode", bytes, { ...only(["region", "width", "height", "partial", "limits", "into", "detail"], options) }))
   }
 
-  // Returns size, channels, depth, number of primitives, orientation, ICC profile and EXIF block.
+  // Returns size, channels, depth, number of Gaussians, orientation, ICC profile and EXIF block.
   header = async (bytes, options) => this.#ask("header", bytes, { ...only(["limits"], options) })
 
   // Returns all Gaussians as typed arrays.

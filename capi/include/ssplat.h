@@ -114,7 +114,7 @@ typedef enum ssplat_limit {
   /**
    * Largest number of Gaussians.
    */
-  SSPLAT_LIMIT_PRIMITIVES = 2,
+  SSPLAT_LIMIT_GAUSSIANS = 2,
   /**
    * Largest number of (Gaussian, tile) pairs of a view.
    */
@@ -302,13 +302,9 @@ typedef enum ssplat_tune {
    */
   SSPLAT_TUNE_IQ = 1,
   /**
-   * Structural similarity.
-   */
-  SSPLAT_TUNE_SSIM = 2,
-  /**
    * Squared error.
    */
-  SSPLAT_TUNE_PSNR = 3,
+  SSPLAT_TUNE_PSNR = 2,
 } ssplat_tune;
 
 /**

@@ -52,7 +52,7 @@ pub enum ssplat_limit {
     /// Largest height in pixels.
     Height = 1,
     /// Largest number of Gaussians.
-    Primitives = 2,
+    Gaussians = 2,
     /// Largest number of (Gaussian, tile) pairs of a view.
     TilePairs = 3,
     /// Largest work of drawing a view; the documentation of the Rust crate has the unit.
@@ -200,7 +200,7 @@ pub extern "C" fn ssplat_limit_default(limit: c_int) -> u64 {
     match limit {
         0 => limits.width.into(),
         1 => limits.height.into(),
-        2 => limits.primitives,
+        2 => limits.gaussians,
         3 => limits.tile_pairs,
         4 => limits.work,
         5 => limits.overlap,
@@ -223,7 +223,7 @@ pub unsafe extern "C" fn ssplat_decoder_set_limit(
         match limit {
             0 => limits.width = side,
             1 => limits.height = side,
-            2 => limits.primitives = value,
+            2 => limits.gaussians = value,
             3 => limits.tile_pairs = value,
             4 => limits.work = value,
             5 => limits.overlap = value,
@@ -433,7 +433,7 @@ pub unsafe extern "C" fn ssplat_decoder_missing(
     let work = |held: &mut Decoding| {
         let missing_parts = held.session.missing()?;
         let found = ssplat_missing {
-            gaussians: missing_parts.primitives,
+            gaussians: missing_parts.gaussians,
             groups: missing_parts.groups,
             of_groups: missing_parts.of_groups,
             tiles: missing_parts.tiles,

@@ -220,7 +220,7 @@ pub unsafe extern "C" fn ssplat_encoder_report(
             psnr: found.psnr,
             quality: found.quality.unwrap_or(f64::NAN),
             seconds: found.seconds,
-            gaussians: found.primitives.try_into().unwrap_or(u32::MAX),
+            gaussians: found.gaussians.try_into().unwrap_or(u32::MAX),
             effort: found.effort.into(),
             reserved: [0; 8],
         };

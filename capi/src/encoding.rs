@@ -44,10 +44,8 @@ pub enum ssplat_tune {
     Auto = 0,
     /// Perceived quality from some distance.
     Iq = 1,
-    /// Structural similarity.
-    Ssim = 2,
     /// Squared error.
-    Psnr = 3,
+    Psnr = 2,
 }
 
 /// Options of an encoder, for ssplat_encoder_set_option().
@@ -109,7 +107,7 @@ impl Encoding {
             2 => Target::Bytes(whole("bytes", value)?),
             3 => Target::Psnr(value),
             4 => Target::Lossless,
-            5 => Target::Primitives(whole("gaussians", value)?.try_into().unwrap_or(u32::MAX)),
+            5 => Target::Gaussians(whole("gaussians", value)?.try_into().unwrap_or(u32::MAX)),
             _ => return Err(Failure::parameter(format_args!("there is no target {target}"))),
         };
         self.change(|encoder| encoder.target(target));
@@ -136,7 +134,7 @@ impl Encoding {
                 let hidden = if is_kept { HiddenColors::Keep } else { HiddenColors::Continue };
                 self.change(|encoder| encoder.hidden_colors(hidden));
             }
-            4 => self.tune = [None, Some(Tune::Iq), Some(Tune::Ssim), Some(Tune::Psnr)][within("tune", 0, 3)? as usize],
+            4 => self.tune = [None, Some(Tune::Iq), Some(Tune::Psnr)][within("tune", 0, 2)? as usize],
             5 => {
                 let detail = if within("detail", 0, 1)? == 1 { Detail::Auto } else { Detail::Off };
                 self.change(|encoder| encoder.detail(detail));

@@ -8,7 +8,7 @@ use std::path::Path;
 use image::metadata::Orientation;
 use ssplat::{
     Channels, Damage, Depth, FormatError, Limit, Limits, Metadata, MissingParts, Reader, Rect, Renderer, Samples,
-    SplatImage, View,
+    SsplatImage, View,
 };
 
 use crate::failure::{Failure, Outcome, ssplat_status};
@@ -56,7 +56,7 @@ pub struct Session {
     pub damage: Damage,
     bytes: Option<Vec<u8>>,
     /// The whole picture, once it has been preloaded.
-    image: Option<SplatImage>,
+    image: Option<SsplatImage>,
     missing: MissingParts,
 }
 
@@ -167,7 +167,7 @@ impl Session {
             size: [reader.width(), reader.height()],
             channels: reader.channels(),
             depth: reader.depth(),
-            gaussians: reader.primitives(),
+            gaussians: reader.gaussian_count(),
             orientation: orientation.unwrap_or(Orientation::NoTransforms).to_exif(),
         })
     }

@@ -14,7 +14,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     int choice = size ? data[size - 1] : 0;
     ssplat_decoder_set_limit(decoder, SSPLAT_LIMIT_ALLOC, 16 << 20);
     ssplat_decoder_set_limit(decoder, SSPLAT_LIMIT_WORK, 1 << 26);
-    ssplat_decoder_set_limit(decoder, SSPLAT_LIMIT_PRIMITIVES, 1 << 16);
+    ssplat_decoder_set_limit(decoder, SSPLAT_LIMIT_GAUSSIANS, 1 << 16);
     ssplat_decoder_set_partial(decoder, choice & 1);
     if (ssplat_decoder_open_memory(decoder, data, size) == SSPLAT_STATUS_OK && ssplat_decoder_info(decoder, &info) == SSPLAT_STATUS_OK) {
         for (int which = SSPLAT_METADATA_ICC; which <= SSPLAT_METADATA_THUMBNAIL; which++)

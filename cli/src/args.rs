@@ -145,10 +145,10 @@ pub struct Encode {
     /// Layout of the file
     #[arg(help_heading = "Research", long, default_value = "coded", value_parser = names::layout())]
     pub layout: Layout,
-    /// How primitives blend [default: normalized]
+    /// How Gaussians blend [default: normalized]
     #[arg(help_heading = "Research", long, value_parser = names::blend())]
     pub blend: Option<Blend>,
-    /// What to optimize for: iq (perceptual quality), ssim (structure) or psnr (squared error) [default: iq; psnr with
+    /// What to optimize for: iq (perceptual quality) or psnr (squared error) [default: iq; psnr with
     /// --psnr]
     #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,
@@ -264,9 +264,9 @@ pub struct TargetArgs {
     /// File size in bytes, or as 20k or 1.5M; never exceeded
     #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "N", value_parser = bytes)]
     pub bytes: Option<u64>,
-    /// Number of primitives
+    /// Number of Gaussians
     #[arg(help_heading = "Size or quality (at most one)", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub primitives: Option<u32>,
+    pub gaussians: Option<u32>,
     /// PSNR; finds the smallest file that reaches it
     #[arg(help_heading = "Size or quality (at most one)", long, value_name = "DB", value_parser = positive)]
     pub psnr: Option<f64>,
@@ -290,7 +290,7 @@ impl Encode {
         let targets = [
             t.ratio.map(Target::Ratio),
             t.bytes.map(Target::Bytes),
-            t.primitives.map(Target::Primitives),
+            t.gaussians.map(Target::Gaussians),
             t.psnr.map(Target::Psnr),
             t.quality.map(Target::Quality),
             t.lossless.then_some(Target::Lossless),

@@ -9,7 +9,7 @@ use serde_json::json;
 use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Rect, Samples, SplatImage};
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Rect, Samples, SsplatImage};
 use ssplat::{Renderer, SamplesMut, View};
 
 use crate::batch::{self, Command, Done, Fate, Report, Show};
@@ -91,7 +91,7 @@ fn one(args: &args::Decode, task: &Task, format: Format, (show, report): (&Show,
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
     let opening = Reader::new(&bytes, &limits).map_err(failed)?;
-    let of = opening.header().primitives;
+    let of = opening.header().gaussians;
     let view = view(args, input, opening.view().layers(args.layers))?;
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
     let opened = opening.damage(damage).read_for(&view).map_err(failed)?;
@@ -134,7 +134,7 @@ fn one(args: &args::Decode, task: &Task, format: Format, (show, report): (&Show,
         rows.finish(&sink::named(output))?;
     }
     let seconds = start.elapsed().as_secs_f64();
-    let mut loss = json!({ "primitives": missing.primitives, "of": of });
+    let mut loss = json!({ "gaussians": missing.gaussians, "of": of });
     if missing.of_tiles > 0 {
         (loss["tiles"], loss["of_tiles"]) = (missing.tiles.into(), missing.of_tiles.into());
     }
@@ -162,10 +162,10 @@ fn thumbnail(
     let failed = |e| Failure::library(input, &e);
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
     let opening = Reader::new(bytes, &Limits::default()).map_err(failed)?;
-    let primitives = opening.primitives();
+    let gaussians = opening.gaussian_count();
     let ssplat::Decoded { pixels, mut metadata, missing, .. } =
         opening.damage(damage).thumbnail([side; 2]).map_err(failed)?;
-    let mut notes = losses(&metadata, missing, primitives);
+    let mut notes = losses(&metadata, missing, gaussians);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
     let background = background(args, pixels.channels(), format, &mut notes);
@@ -179,7 +179,7 @@ fn thumbnail(
     let (width, height) = (source.pixels.width(), source.pixels.height());
     let sink = args.many.sink(output, &[input])?;
     write_pixels(source, format, &sink, &sink::named(output))?;
-    let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "primitives": 0 }));
+    let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "gaussians": 0 }));
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": "CPU" });
     let done = Done { text: String::new(), result, notes, fate: Fate::Written };
     report(&done)?;
@@ -269,9 +269,9 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
     let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
     let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
     if missing != MissingParts::default() {
-        let MissingParts { primitives, groups, of_groups, tiles, of_tiles, exact_tiles, of_exact_tiles, .. } = missing;
+        let MissingParts { gaussians, groups, of_groups, tiles, of_tiles, exact_tiles, of_exact_tiles, .. } = missing;
         if groups > 0 {
-            notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
+            notes.push(format!("{gaussians} of {of} Gaussians in {groups} of {of_groups} groups are missing"));
         }
         let detail = ("detail", tiles - exact_tiles, of_tiles - of_exact_tiles);
         for (layer, missing, of) in [detail, ("exact", exact_tiles, of_exact_tiles)] {
@@ -288,7 +288,7 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
 
 /// Renders the whole view on a GPU. Returns the pixels and the name of the GPU.
 #[cfg(feature = "gpu")]
-fn on_gpu(opened: &SplatImage, view: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(opened: &SsplatImage, view: &View) -> ssplat::Result<(Pixels, String)> {
     use ssplat::gpu::{Adapters, Device, Renderer};
     let device = Device::open(Adapters::Any)?;
     let pixels = Renderer::of(&device, opened)?.render(view, opened.splats().depth)?;
@@ -296,7 +296,7 @@ fn on_gpu(opened: &SplatImage, view: &View) -> ssplat::Result<(Pixels, String)> 
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu(_: &SplatImage, _: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(_: &SsplatImage, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 

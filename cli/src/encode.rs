@@ -158,11 +158,11 @@ fn one(args: &args::Encode, task: &Task, show: &Show, report: &Report) -> Result
     let mut options = args.options();
     carried::carry(&mut options, (cicp, icc), exif, orientation, &mut notes);
     let samples = u64::from(pixels.width()) * u64::from(pixels.height()) * pixels.channels().count() as u64;
-    if let Target::Primitives(asked) = options.target
+    if let Target::Gaussians(asked) = options.target
         && u64::from(asked) > samples
     {
-        options.target = Target::Primitives(samples as u32);
-        notes.push(format!("{asked} primitives are more than the samples of the picture; {samples} are enough"));
+        options.target = Target::Gaussians(samples as u32);
+        notes.push(format!("{asked} Gaussians are more than the samples of the picture; {samples} are enough"));
     }
     // Detects an output that cannot be written before the work is done.
     let sink = args.sink(output, &[input])?;
@@ -385,12 +385,12 @@ fn result_line(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> S
     let how = if picture.width().min(picture.height()) < 64 { " (mirrored to 64 pixels)" } else { "" };
     let quality = encoded.report.quality.map_or(String::new(), |q| format!(", SSIMULACRA2 {q:.1}{how}"));
     let line = format!(
-        "{}: {} bytes, ratio {:.1}, {} primitive{}, {}{quality}, encoded in {:.2} s at effort {}\n",
+        "{}: {} bytes, ratio {:.1}, {} Gaussian{}, {}{quality}, encoded in {:.2} s at effort {}\n",
         output.display(),
         encoded.bytes.len(),
         ratio(picture, encoded.bytes.len()),
-        encoded.report.primitives,
-        if encoded.report.primitives == 1 { "" } else { "s" },
+        encoded.report.gaussians,
+        if encoded.report.gaussians == 1 { "" } else { "s" },
         psnr(encoded.report.psnr),
         encoded.report.seconds,
         encoded.report.effort
@@ -456,7 +456,7 @@ fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Val
         "height": pixels.height(),
         "bytes": bytes,
         "ratio": ratio(pixels, bytes),
-        "primitives": report.primitives,
+        "gaussians": report.gaussians,
         "float_psnr": report.float_psnr.min(compare::IDENTICAL),
         "psnr": report.psnr.min(compare::IDENTICAL),
         "quality": report.quality,

@@ -55,7 +55,7 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
         }
         e => Failure::library(&args.input, &e),
     })?;
-    let left_out = parameters.picture.list.len() - encoded.report.primitives;
+    let left_out = parameters.picture.list.len() - encoded.report.gaussians;
     if left_out > 0 {
         tell(&format!(
             "{}: {left_out} Gaussians do not reach the picture and are left out",

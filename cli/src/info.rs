@@ -1,4 +1,4 @@
-//! `ssplat info`: the header, the bytes of each part, and the bits per primitive and field.
+//! `ssplat info`: the header, the bytes of each part, and the bits per Gaussian and field.
 
 use std::path::Path;
 
@@ -63,7 +63,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
     let fields: Vec<Value> = report
         .fields
         .iter()
-        .map(|f| json!({ "name": f.name, "bits": f.bits, "bits_per_primitive": per_primitive(f.bits, splats) }))
+        .map(|f| json!({ "name": f.name, "bits": f.bits, "bits_per_gaussian": per_gaussian(f.bits, splats) }))
         .collect();
     let left_out: Vec<Value> =
         left_out::of_file(splats, report).iter().map(|a| json!({ "what": a.what, "bytes_saved": a.saved })).collect();
@@ -84,7 +84,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
             "luma": h.steps.luma,
             "chroma": h.steps.chroma,
         },
-        "primitives": h.primitives,
+        "gaussians": h.gaussians,
         "levels": report.levels,
         "groups": report.groups,
         "codebook": splats.codebook.as_ref().map(Vec::len),
@@ -96,7 +96,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "exact": exact(splats, report),
         "bytes": report.bytes,
         "ratio": ratio(report),
-        "bits_per_primitive": per_primitive(8.0 * report.bytes as f64, splats),
+        "bits_per_gaussian": per_gaussian(8.0 * report.bytes as f64, splats),
         "parts": parts,
         "sections": sections,
         "fields": fields,
@@ -138,7 +138,7 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
     let mut text = format!(
         "picture     {} x {} pixels, {}, {} bits\n\
          file        {} bytes, ratio {:.1}, version {VERSION}, {} layout\n\
-         primitives  {}, {} blend, {:.1} bits each over the whole file\n",
+         Gaussians   {}, {} blend, {:.1} bits each over the whole file\n",
         h.width,
         h.height,
         channels(h.channels),
@@ -146,9 +146,9 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
         report.bytes,
         ratio(report),
         layout_name(h.layout),
-        h.primitives,
+        h.gaussians,
         blend_name(h.blend),
-        per_primitive(8.0 * report.bytes as f64, splats).unwrap_or(0.0),
+        per_gaussian(8.0 * report.bytes as f64, splats).unwrap_or(0.0),
     );
     if let Some(cicp) = splats.metadata.cicp {
         text += &format!("colours     {cicp}\n");
@@ -157,7 +157,7 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
         text += &format!("codebook    {} colours\n", codebook.len());
     }
     if report.levels.len() > 1 {
-        text += &format!("levels      {:?} primitives, coarse to fine\n", report.levels);
+        text += &format!("levels      {:?} Gaussians, coarse to fine\n", report.levels);
     }
     if report.groups > 1 {
         text += &format!("groups      {}\n", report.groups);
@@ -193,8 +193,8 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
     }
     text += "fields\n";
     for field in &report.fields {
-        let each = per_primitive(field.bits, splats).unwrap_or(0.0);
-        text += &format!("  {:<20} {each:>10.2} bits a primitive\n", field.name);
+        let each = per_gaussian(field.bits, splats).unwrap_or(0.0);
+        text += &format!("  {:<20} {each:>10.2} bits a Gaussian\n", field.name);
     }
     text += "left out\n";
     text += &left_out::as_text(&left_out::of_file(splats, report));
@@ -209,8 +209,8 @@ fn ratio(report: &Report) -> f64 {
     f64::from(h.width) * f64::from(h.height) * h.channels.count() as f64 / report.bytes as f64
 }
 
-/// Returns bits per primitive; `None` without primitives.
-fn per_primitive(bits: f64, splats: &PackedSplats) -> Option<f64> {
+/// Returns bits per Gaussian; `None` without Gaussians.
+fn per_gaussian(bits: f64, splats: &PackedSplats) -> Option<f64> {
     let count = splats.gaussians.len();
     (count > 0).then(|| bits / count as f64)
 }

@@ -12,7 +12,7 @@ pub struct Absent {
     pub saved: Option<u64>,
 }
 
-/// Files of more primitives are not written again to measure sizes, because that takes seconds; their absent parts have
+/// Files of more Gaussians are not written again to measure sizes, because that takes seconds; their absent parts have
 /// no sizes.
 const MOST_WRITTEN: usize = 1 << 20;
 
@@ -29,7 +29,7 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     };
     match &splats.codebook {
         Some(book) => add(
-            format!("a separate colour for each primitive: {} colours suffice", book.len()),
+            format!("a separate colour for each Gaussian: {} colours suffice", book.len()),
             small(splats).map(|s| PackedSplats { codebook: None, ..s.clone() }),
         ),
         None if splats.gaussians.is_empty() => {}
@@ -44,7 +44,7 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let count = splats.gaussians.len();
     let round = splats.gaussians.iter().filter(|g| g.major == g.minor).count();
     if round > 0 {
-        add(format!("angles: {round} of {count} primitives are circular and need none"), None);
+        add(format!("angles: {round} of {count} Gaussians are circular and need none"), None);
     }
     // With a codebook, the channels have no fields of their own.
     let own = count > 0 && splats.codebook.is_none() && splats.layout == Layout::Coded;
@@ -96,7 +96,7 @@ fn with_codebook(splats: &PackedSplats) -> Option<PackedSplats> {
     (colors.len() <= 65536).then(|| PackedSplats { codebook: Some(colors), ..splats.clone() })
 }
 
-/// Divides the primitives into three levels, as the encoder does.
+/// Divides the Gaussians into three levels, as the encoder does.
 fn with_levels(splats: &PackedSplats) -> PackedSplats {
     let mut with = splats.clone();
     ssplat::unstable::divide(&mut with, 3);

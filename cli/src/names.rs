@@ -49,7 +49,7 @@ pub fn blend() -> impl TypedValueParser<Value = Blend> {
 }
 
 pub fn tune() -> impl TypedValueParser<Value = Tune> {
-    named(&[("psnr", Tune::Psnr), ("ssim", Tune::Ssim), ("iq", Tune::Iq)])
+    named(&[("psnr", Tune::Psnr), ("iq", Tune::Iq)])
 }
 
 pub fn backend() -> impl TypedValueParser<Value = Backend> {

@@ -45,7 +45,7 @@ fn folder(width: u32, height: u32) -> tempfile::TempDir {
     folder
 }
 
-const SMALL: [&str; 8] = ["encode", "in.png", "out.ssplat", "--primitives", "60", "--effort", "2", "--json"];
+const SMALL: [&str; 8] = ["encode", "in.png", "out.ssplat", "--gaussians", "60", "--effort", "2", "--json"];
 
 fn fits_and_draws(device: &Device) {
     let folder = folder(64, 48);

@@ -20,7 +20,7 @@ struct Input<'a> {
 fuzz_target!(|input: Input| {
     let (limits, mut splats) = (tight_limits(), input.head.0);
     splats.layout = Layout::Coded;
-    // The primitives only set the count in the header.
+    // The Gaussians only set the count in the header.
     let color = splats.codebook.as_ref().map_or([0; 4], |book| book[0]);
     splats.gaussians = vec![PackedGaussian { color, ..PackedGaussian::default() }; input.count.into()];
     let Ok(mut bytes) = to_bytes(&splats) else { return };

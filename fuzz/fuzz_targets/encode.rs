@@ -20,7 +20,7 @@ impl<'a> Arbitrary<'a> for Input {
         options.target = match u.int_in_range(0..=3)? {
             0 => Target::Ratio(f64::from(u.int_in_range(1..=100u8)?)),
             1 => Target::Bytes(u.int_in_range(0..=400)?),
-            2 => Target::Primitives(u.int_in_range(0..=30)?),
+            2 => Target::Gaussians(u.int_in_range(0..=30)?),
             _ => Target::Psnr(f64::from(u.int_in_range(5..=40u8)?)),
         };
         options.effort = 1;
@@ -28,14 +28,14 @@ impl<'a> Arbitrary<'a> for Input {
         options.seed = u.arbitrary()?;
         options.layout = *u.choose(&[Layout::Packed, Layout::Planes, Layout::Coded])?;
         options.blend = *u.choose(&[None, Some(Blend::Normalized), Some(Blend::Sum)])?;
-        options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)])?;
+        options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Iq)])?;
         options.backend = ssplat::Backend::Cpu;
         options.needs = *u.choose(&[Needs::Measured, Needs::Everything])?;
         let is_coded = options.layout == Layout::Coded;
         options.levels = if is_coded { u.int_in_range(1..=8)? } else { 1 };
         options.detail = match u.int_in_range(0..=3u8)? {
             0 => Detail::Off,
-            1 if is_coded && !matches!(options.target, Target::Primitives(_)) => {
+            1 if is_coded && !matches!(options.target, Target::Gaussians(_)) => {
                 Detail::GaussianShare(f64::from(u.int_in_range(1..=254u8)?) / 255.0)
             }
             _ => Detail::Auto,
@@ -98,5 +98,5 @@ fuzz_target!(|input: Input| {
         ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).expect("what was encoded reads");
     let shape = (splats.width, splats.height, splats.channels, splats.depth);
     assert_eq!(shape, (pixels.width(), pixels.height(), pixels.channels(), pixels.depth()));
-    assert_eq!(splats.gaussians.len(), encoded.report.primitives);
+    assert_eq!(splats.gaussians.len(), encoded.report.gaussians);
 });

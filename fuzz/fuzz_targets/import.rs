@@ -63,7 +63,7 @@ const NAMES: [&str; 20] = [
 
 fn limits() -> Limits {
     let mut limits = Limits::default();
-    (limits.alloc, limits.primitives) = (16 << 20, 1 << 16);
+    (limits.alloc, limits.gaussians) = (16 << 20, 1 << 16);
     limits
 }
 
@@ -82,7 +82,7 @@ fn read(kind: u8, rest: &[u8], given: Given) -> Option<Parameters> {
             let (mut arrays, mut left) = (BTreeMap::new(), limits().alloc);
             for part in rest.split(|&b| b == 0xFE) {
                 let Some((name, file)) = part.split_first() else { continue };
-                if let Ok(array) = npy::read(file, limits().primitives, &mut left) {
+                if let Ok(array) = npy::read(file, limits().gaussians, &mut left) {
                     arrays.insert(NAMES[usize::from(*name) % NAMES.len()].to_owned(), array);
                 }
             }

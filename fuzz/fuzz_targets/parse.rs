@@ -35,8 +35,8 @@ fuzz_target!(|data: &[u8]| {
     match (read_partial(data, &limits), &whole) {
         (Ok((part, missing)), Ok(whole)) => assert!(part == *whole && missing == MissingParts::default()),
         (Ok((part, missing)), Err(_)) => {
-            let count = part.gaussians.len() as u64 + u64::from(missing.primitives);
-            assert!(count <= limits.primitives && missing.groups <= missing.of_groups);
+            let count = part.gaussians.len() as u64 + u64::from(missing.gaussians);
+            assert!(count <= limits.gaussians && missing.groups <= missing.of_groups);
         }
         (Err(e), Ok(_)) => panic!("read whole but not in part: {e}"),
         (Err(_), Err(_)) => {}

@@ -81,7 +81,7 @@ fn bytes(samples: &Samples) -> &[u8] {
 
 fuzz_target!(|input: Input| {
     let Input { picture, part, reduced, is_legal } = input;
-    let full = View::full(&picture);
+    let full = View::new(picture.width, picture.height);
     check(&picture, &full, part, is_legal);
     let [width, height] = reduced;
     let small = full.resized(width, height).expect("a size");

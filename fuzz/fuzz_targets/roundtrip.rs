@@ -7,7 +7,7 @@ use ssplat::unstable::bitstream::splats::{PackedGaussian, PackedSplats};
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat_fuzz::Legal;
 
-/// Sorts the primitives: their order within a level is up to the layout.
+/// Sorts the Gaussians: their order within a level is up to the layout.
 fn sorted(splats: &PackedSplats) -> Vec<PackedGaussian> {
     let mut gaussians = splats.gaussians.clone();
     gaussians.sort_unstable_by_key(|g| (g.x, g.y, g.major, g.minor, g.angle, g.color));

@@ -27,7 +27,7 @@ struct Input {
     size: Option<[u32; 2]>,
     steps: Vec<Step>,
     within: [u32; 2],
-    /// Number of primitives of the first of two levels.
+    /// Number of Gaussians of the first of two levels.
     level: Option<u8>,
     /// Sides of the picture, if it is not a small one.
     large: Option<[u32; 2]>,

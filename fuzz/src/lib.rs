@@ -20,7 +20,7 @@ pub fn tight_limits() -> Limits {
     let mut limits = Limits::default();
     limits.width = 1 << 12;
     limits.height = 1 << 12;
-    limits.primitives = 1 << 16;
+    limits.gaussians = 1 << 16;
     limits.tile_pairs = 1 << 20;
     limits.work = 1 << 31;
     limits.alloc = 32 << 20;
@@ -60,7 +60,7 @@ impl Read for Sliced<'_> {
     }
 }
 
-/// A valid picture without primitives.
+/// A valid picture without Gaussians.
 #[derive(Debug, Clone)]
 pub struct Head(pub PackedSplats);
 

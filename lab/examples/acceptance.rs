@@ -90,7 +90,7 @@ fn name_of(path: &Path) -> String {
 /// builds take less memory.
 fn limits() -> Limits {
     let mut limits = Limits::default();
-    (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);
+    (limits.width, limits.height, limits.gaussians) = (1 << 12, 1 << 12, 1 << 16);
     (limits.alloc, limits.tile_pairs) = (512 << 20, 1 << 20);
     limits
 }

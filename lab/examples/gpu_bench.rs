@@ -160,7 +160,7 @@ fn frames(device: &Device, picture: &ssplat::Gaussians) -> Result<f64> {
     let most = MAX_BUFFER / (4 * u64::from(width));
     let parts = (1..=height).find(|n| height.is_multiple_of(*n) && u64::from(height / n) <= most).unwrap_or(height);
     let rows = height / parts;
-    let full = View::full(picture);
+    let full = View::new(picture.width, picture.height);
     let mut views = Vec::new();
     for y in (0..height).step_by(rows as usize) {
         views.push(full.crop(Rect::new(0, y, width, rows))?);

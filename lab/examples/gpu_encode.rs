@@ -22,7 +22,7 @@ use std::time::Instant;
 use clap::Parser;
 use ssplat::gpu::{Adapters, Device, Renderer};
 use ssplat::unstable::EncodeOptions;
-use ssplat::{Backend, Depth, Detail, Encoded, Limits, PixelSource, Pixels, Reader, Rect, SplatImage, Target, Tune};
+use ssplat::{Backend, Depth, Detail, Encoded, Limits, PixelSource, Pixels, Reader, Rect, SsplatImage, Target, Tune};
 use ssplat_cli::perceived;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -110,7 +110,7 @@ fn compare_files(args: &Args, device: &Device) -> Result<()> {
                     bytes.len(),
                     report.psnr,
                     points.map_or("–".to_owned(), |points| format!("{points:.1}")),
-                    report.primitives,
+                    report.gaussians,
                 );
                 if backend == Backend::Cpu && Some(&effort) == args.efforts.last() {
                     decodes.push(decoded(args, device, &name(path), &bytes)?);
@@ -124,7 +124,7 @@ fn compare_files(args: &Args, device: &Device) -> Result<()> {
     Ok(())
 }
 
-fn read(bytes: &[u8]) -> Result<SplatImage> {
+fn read(bytes: &[u8]) -> Result<SsplatImage> {
     Ok(Reader::new(bytes, &Limits::default())?.read()?)
 }
 

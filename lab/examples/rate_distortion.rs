@@ -138,7 +138,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let mut line = format!(
                 "| {image} | {ratio} | {} | {} | {} | {encode_seconds:.2} | {decode_seconds:.4} |",
                 quality.bytes,
-                encoded.report.primitives,
+                encoded.report.gaussians,
                 quality.cells(" | "),
             );
             for codec in &codecs {
@@ -192,7 +192,8 @@ fn decode(bytes: &[u8], repeat: u32) -> ssplat::Result<(Pixels, f64)> {
         let start = Instant::now();
         let splats = ssplat::unstable::bitstream::read(bytes, &limits)?;
         let picture = splats.to_gaussians();
-        let pixels = Renderer::new(&picture, &View::full(&picture), &limits)?.render(splats.depth)?;
+        let pixels =
+            Renderer::new(&picture, &View::new(picture.width, picture.height), &limits)?.render(splats.depth)?;
         Ok((pixels, start.elapsed().as_secs_f64()))
     };
     let mut best = run()?;

@@ -6,6 +6,7 @@ mod loss;
 mod recipes;
 mod report;
 mod smartsplat;
+mod trace;
 
 use std::process::ExitCode;
 

@@ -92,7 +92,7 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
         match name.as_str() {
             "width" => limits.width = integer("limits", value)?,
             "height" => limits.height = integer("limits", value)?,
-            "primitives" => limits.primitives = integer("limits", value)?,
+            "gaussians" => limits.gaussians = integer("limits", value)?,
             "tile_pairs" => limits.tile_pairs = integer("limits", value)?,
             "work" => limits.work = integer("limits", value)?,
             "overlap" => limits.overlap = integer("limits", value)?,
@@ -104,7 +104,7 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     Ok(limits)
 }
 
-/// Numbers of missing primitives, missing groups and all groups, of missing and all tiles of the detail layer, and of
+/// Numbers of missing Gaussians, missing groups and all groups, of missing and all tiles of the detail layer, and of
 /// missing and all tiles of the exact layer; and whether the file is truncated or its checksum is wrong.
 type Lost = (u32, u32, u32, [u32; 2], [u32; 2], bool);
 
@@ -115,9 +115,9 @@ pub fn decode<'py>(py: Python<'py>, data: PyBackedBytes, options: Options) -> Py
     let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
     let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;
     let (pixels, missing) = work::run(py, threads, &work::Calls::default(), move |_| job.run(&data))?;
-    let MissingParts { primitives, groups, of_groups, tiles, of_tiles, exact_tiles, of_exact_tiles, damaged, .. } =
+    let MissingParts { gaussians, groups, of_groups, tiles, of_tiles, exact_tiles, of_exact_tiles, damaged, .. } =
         missing;
     let detail = [tiles - exact_tiles, of_tiles - of_exact_tiles];
-    let lost = (primitives, groups, of_groups, detail, [exact_tiles, of_exact_tiles], damaged);
+    let lost = (gaussians, groups, of_groups, detail, [exact_tiles, of_exact_tiles], damaged);
     Ok((array::array(py, pixels)?, lost))
 }

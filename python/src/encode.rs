@@ -22,7 +22,7 @@ pub struct Options {
     ratio: Option<f64>,
     bytes: Option<i128>,
     psnr: Option<f64>,
-    primitives: Option<i128>,
+    gaussians: Option<i128>,
     quality: Option<f64>,
     lossless: bool,
     effort: i128,
@@ -74,7 +74,7 @@ impl Options {
             self.ratio.map(|ratio| Ok(Target::Ratio(ratio))),
             self.bytes.map(|bytes| integer("bytes", bytes).map(Target::Bytes)),
             self.psnr.map(|psnr| Ok(Target::Psnr(psnr))),
-            self.primitives.map(|count| integer("primitives", count).map(Target::Primitives)),
+            self.gaussians.map(|count| integer("gaussians", count).map(Target::Gaussians)),
             self.quality.map(|quality| Ok(Target::Quality(quality))),
             self.lossless.then_some(Ok(Target::Lossless)),
         ];
@@ -83,7 +83,7 @@ impl Options {
             (None, _) => Ok(Target::Auto),
             (Some(target), None) => target,
             _ => {
-                Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives, quality and lossless can be given"))
+                Err(parameter("ratio", "only one of ratio, bytes, psnr, gaussians, quality and lossless can be given"))
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Conversion between files and arrays of primitives.
+//! Conversion between files and arrays of Gaussians.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use ssplat::{Channels, Depth, Encoder, Gaussian, Gaussians, Layers, Reader, Targ
 use crate::failure::{integer, parameter};
 use crate::{carry, decode, info, names, work};
 
-/// Returns the primitives of `data`, level by level, and the other arguments of [`from_gaussians`].
+/// Returns the Gaussians of `data`, level by level, and the other arguments of [`from_gaussians`].
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn gaussians<'py>(
@@ -48,7 +48,7 @@ pub fn gaussians<'py>(
     Ok(d)
 }
 
-/// The fields of all primitives, one after the other.
+/// The fields of all Gaussians, one after the other.
 #[derive(Default)]
 struct Floats {
     mean: Vec<f32>,
@@ -149,7 +149,7 @@ impl StepIndices {
     }
 }
 
-/// Returns the file of primitives with means (n × 2, pixels), scales (n × 2, pixels), rotations (n, radians) and
+/// Returns the file of Gaussians with means (n × 2, pixels), scales (n × 2, pixels), rotations (n, radians) and
 /// colours (n × channels), all float32: the order and the units of [`Gaussian`].
 #[pyfunction]
 pub fn from_gaussians<'py>(

@@ -39,7 +39,7 @@ pub fn metadata(
     Ok((cicp.map(carry::numbers), bytes(icc), bytes(exif)))
 }
 
-/// Returns all properties except the primitives.
+/// Returns all properties except the Gaussians.
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn info<'py>(
@@ -56,10 +56,10 @@ pub fn info<'py>(
     d.set_item("channels", h.channels.count())?;
     d.set_item("bits", 8 * h.depth.bytes())?;
     d.set_item("bytes", report.bytes)?;
-    d.set_item("primitives", h.primitives)?;
+    d.set_item("gaussians", h.gaussians)?;
     d.set_item("layout", names::word(&names::LAYOUTS, h.layout))?;
     d.set_item("blend", names::word(&names::BLENDS, h.blend))?;
-    d.set_item("levels", if report.levels.is_empty() { vec![h.primitives] } else { report.levels.clone() })?;
+    d.set_item("levels", if report.levels.is_empty() { vec![h.gaussians] } else { report.levels.clone() })?;
     d.set_item("groups", report.groups)?;
     d.set_item("codebook", splats.codebook.as_ref().map(Vec::len))?;
     d.set_item("detail", detail(py, &splats, &report)?)?;

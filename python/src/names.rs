@@ -10,7 +10,7 @@ use crate::failure::parameter;
 pub const LAYOUTS: [(&str, Layout); 3] =
     [("coded", Layout::Coded), ("planes", Layout::Planes), ("packed", Layout::Packed)];
 pub const BLENDS: [(&str, Blend); 2] = [("normalized", Blend::Normalized), ("sum", Blend::Sum)];
-pub const TUNES: [(&str, Tune); 3] = [("psnr", Tune::Psnr), ("ssim", Tune::Ssim), ("iq", Tune::Iq)];
+pub const TUNES: [(&str, Tune); 2] = [("psnr", Tune::Psnr), ("iq", Tune::Iq)];
 pub const NEEDS: [(&str, Needs); 2] = [("measured", Needs::Measured), ("everything", Needs::Everything)];
 pub const BACKENDS: [(&str, Backend); 3] = [("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)];
 pub const DETAILS: [(&str, Detail); 2] = [("auto", Detail::Auto), ("off", Detail::Off)];

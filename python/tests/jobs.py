@@ -8,7 +8,7 @@ import ssplat
 from pictures import waves
 
 PICTURE = waves(40, 50)
-SMALL = {"effort": 1, "primitives": 20}
+SMALL = {"effort": 1, "gaussians": 20}
 
 
 def work(seed):

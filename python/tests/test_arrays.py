@@ -17,7 +17,7 @@ PICTURES = st.sampled_from(["|u1", "<u2", ">u2"]).flatmap(lambda d: arrays.array
 @settings(max_examples=60, deadline=None)
 @given(PICTURES)
 def test_every_legal_array_is_encoded_and_comes_back_in_its_shape(picture):
-    pixels = ssplat.decode(ssplat.encode(picture, effort=1, primitives=3))
+    pixels = ssplat.decode(ssplat.encode(picture, effort=1, gaussians=3))
     assert pixels.dtype == picture.dtype.newbyteorder("=")
     assert pixels.shape == (picture.shape[:2] if picture.ndim == 2 or picture.shape[2] == 1 else picture.shape)
 
@@ -48,18 +48,18 @@ def test_other_shapes_are_refused_by_name(shape):
 def test_any_strides_are_the_picture_that_they_show(cut):
     view = waves(40, 50)[cut]
     assert not view.flags.c_contiguous
-    assert ssplat.encode(view, effort=1, primitives=9) == ssplat.encode(view.copy(), effort=1, primitives=9)
-    assert ssplat.encode(view.T[0].T, effort=1, primitives=9) == ssplat.encode(
-        view[..., 0].copy(), effort=1, primitives=9
+    assert ssplat.encode(view, effort=1, gaussians=9) == ssplat.encode(view.copy(), effort=1, gaussians=9)
+    assert ssplat.encode(view.T[0].T, effort=1, gaussians=9) == ssplat.encode(
+        view[..., 0].copy(), effort=1, gaussians=9
     )
 
 
 def test_read_only_arrays_and_subclasses_are_taken():
     picture = waves(20, 30)
-    want = ssplat.encode(picture, effort=1, primitives=9)
+    want = ssplat.encode(picture, effort=1, gaussians=9)
     picture.flags.writeable = False
-    assert ssplat.encode(picture, effort=1, primitives=9) == want
-    assert ssplat.encode(picture.view(np.ma.MaskedArray), effort=1, primitives=9) == want
+    assert ssplat.encode(picture, effort=1, gaussians=9) == want
+    assert ssplat.encode(picture.view(np.ma.MaskedArray), effort=1, gaussians=9) == want
 
 
 @pytest.mark.parametrize("image", [None, 7, b"bytes", [[1, 2], [3, 4]], memoryview(b"1234")])

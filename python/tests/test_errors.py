@@ -8,7 +8,7 @@ import ssplat
 from pictures import waves
 
 PICTURE = waves(20, 30)
-FILE = ssplat.encode(PICTURE, effort=1, primitives=9)
+FILE = ssplat.encode(PICTURE, effort=1, gaussians=9)
 
 
 def changed(position, value):
@@ -73,7 +73,7 @@ def test_a_version_and_a_limit_tell_their_values():
         ({"bytes": -1}, "bytes"),
         ({"bytes": 3}, "bytes"),
         ({"psnr": -3.0}, "psnr"),
-        ({"primitives": 1 << 40}, "primitives"),
+        ({"gaussians": 1 << 40}, "gaussians"),
         ({"time": -1.0}, "time"),
         ({"time": float("inf")}, "time"),
         ({"research": {"seed": -1}}, "seed"),

@@ -35,10 +35,10 @@ def test_the_documented_formula_gives_the_decoded_picture(blend):
 
 
 def test_limits_hold_before_arrays_are_made():
-    data = ssplat.encode(waves(20, 30), effort=1, primitives=9)
+    data = ssplat.encode(waves(20, 30), effort=1, gaussians=9)
     count = len(ssplat.gaussians(data)["mean"])
-    assert len(ssplat.gaussians(data, limits={"primitives": count})["mean"]) == count
-    for name, value in [("primitives", count - 1), ("width", 10), ("alloc", 30 * count)]:
+    assert len(ssplat.gaussians(data, limits={"gaussians": count})["mean"]) == count
+    for name, value in [("gaussians", count - 1), ("width", 10), ("alloc", 30 * count)]:
         with pytest.raises(ssplat.LimitExceededError) as caught:
             ssplat.gaussians(data, limits={name: value})
         assert caught.value.what == name
@@ -46,7 +46,7 @@ def test_limits_hold_before_arrays_are_made():
 
 def test_shapes_and_types_are_those_documented():
     g = ssplat.gaussians(FILE)
-    n = ssplat.info(FILE)["primitives"]
+    n = ssplat.info(FILE)["gaussians"]
     assert n > 20
     shapes = {"mean": (n, 2), "scale": (n, 2), "rotation": (n,), "color": (n, 3), "background": (3,)}
     for name, shape in shapes.items():
@@ -78,7 +78,7 @@ def test_gaussians_fitted_elsewhere_are_stored_as_they_are(n, channels, seed, bl
     g = others(n, channels, seed) | {"blend": blend}
     data = ssplat.from_gaussians(**g, bits=16)
     pixels = ssplat.decode(data).reshape(48, 64, channels) / 65535
-    assert ssplat.info(data)["primitives"] == n
+    assert ssplat.info(data)["gaussians"] == n
     # The cost of rounding to the usual steps: a luma step of 2^(4/3 - 7) is 5 of 255, and many overlap.
     assert np.sqrt(np.mean((np.clip(drawn(g), 0, 1) - pixels) ** 2)) < 0.05
 

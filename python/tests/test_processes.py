@@ -103,7 +103,7 @@ def test_the_lock_is_free_meanwhile():
     counter = threading.Thread(target=count)
     counter.start()
     # Without progress the calling thread only waits; it must not hold the GIL.
-    ssplat.encode(PICTURE, effort=9, primitives=200, threads=1, time=0.5)
+    ssplat.encode(PICTURE, effort=9, gaussians=200, threads=1, time=0.5)
     done.set()
     counter.join()
     assert counted > 10

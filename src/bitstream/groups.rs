@@ -12,28 +12,28 @@ use super::header::{Coloring, Grouping, Header};
 use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_codebook};
 use super::region::Region;
 use super::report::{Detail, Tally};
-use super::rules::{MAX_LEVELS, Rules, most_primitives};
+use super::rules::{MAX_LEVELS, Rules, most_gaussians};
 use super::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::{FormatError, Result};
 use crate::parallel;
 use crate::rect::Rect;
 
-/// Number of primitives above which a file is divided into groups.
+/// Number of Gaussians above which a file is divided into groups.
 const MAX_UNGROUPED: u32 = 1 << 15;
 
-/// Number of primitives above which a region is halved. Smaller groups cost bytes, since each has an entry and adapts
+/// Number of Gaussians above which a region is halved. Smaller groups cost bytes, since each has an entry and adapts
 /// from the start (512 instead of 2048: 1.5 %), but save work if only a part of the picture is read (a third to a
 /// half).
 const MAX_GROUP: u32 = 1 << 9;
 
-/// Maximum reach of a primitive relative to its region. The writer does not pass wider primitives down to the halves
+/// Maximum reach of a Gaussian relative to its region. The writer does not pass wider Gaussians down to the halves
 /// of the region, because a few of them would make every group reach into every area.
 const MAX_REACH: f64 = 0.25;
 
-/// Minimum number of wide primitives for a group of their own.
+/// Minimum number of wide Gaussians for a group of their own.
 const MIN_WIDE_GROUP: usize = 16;
 
-/// Returns how the writer divides the primitives: not at all, unless there are many.
+/// Returns how the writer divides the Gaussians: not at all, unless there are many.
 pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
     let many = splats.levels.len() > 1 || splats.gaussians.len() > MAX_UNGROUPED as usize;
     if splats.layout == Layout::Coded && many { Grouping::Groups } else { Grouping::Single }
@@ -53,7 +53,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// Returns whether a primitive of this group can reach into `area`.
+    /// Returns whether a Gaussian of this group can reach into `area`.
     fn reaches(&self, rules: &Rules, area: &Rect) -> bool {
         let reach = rules.reach(self.largest);
         let pixels = |cells: u64| (cells as f64) * f64::from(rules.finest()).exp2();
@@ -72,8 +72,8 @@ impl Entry {
 #[non_exhaustive]
 #[doc(alias("damage", "partial", "truncated"))]
 pub struct MissingParts {
-    /// Number of missing primitives.
-    pub primitives: u32,
+    /// Number of missing Gaussians.
+    pub gaussians: u32,
     /// Number of missing groups.
     pub groups: u32,
     /// Number of groups in the whole file.
@@ -122,12 +122,12 @@ pub(crate) fn put(splats: &PackedSplats, header: u32, out: &mut Vec<u8>) -> Resu
     Ok(())
 }
 
-/// Returns the number of primitives of each level.
+/// Returns the number of Gaussians of each level.
 pub(super) fn levels(splats: &PackedSplats) -> Vec<u32> {
     if splats.levels.is_empty() { vec![splats.gaussians.len() as u32] } else { splats.levels.clone() }
 }
 
-/// Sorts the primitives of `levels` into the order of the file and returns its groups. Appends the divisions.
+/// Sorts the Gaussians of `levels` into the order of the file and returns its groups. Appends the divisions.
 pub(super) fn parts<'a>(
     gaussians: &'a mut [PackedGaussian],
     levels: &[u32],
@@ -144,38 +144,38 @@ pub(super) fn parts<'a>(
     parts
 }
 
-/// Returns the axis along which a region of `count` primitives is divided, if it is. Halves stay large enough for the
+/// Returns the axis along which a region of `count` Gaussians is divided, if it is. Halves stay large enough for the
 /// coarsest squares.
 fn divided(rules: &Rules, region: &Region, count: u32) -> Option<usize> {
     region.axis().filter(|&axis| count > MAX_GROUP && region.log[axis] > rules.range())
 }
 
-/// Divides the primitives of a region, records how many stay undivided and how many fall into the lower halves, and
+/// Divides the Gaussians of a region, records how many stay undivided and how many fall into the lower halves, and
 /// sorts the undivided ones.
 fn divide<'a>(
-    primitives: &'a mut [PackedGaussian],
+    gaussians: &'a mut [PackedGaussian],
     rules: &Rules,
     region: Region,
     out: &mut Vec<u8>,
     parts: &mut Vec<(Region, &'a [PackedGaussian])>,
 ) {
-    if primitives.is_empty() {
+    if gaussians.is_empty() {
         return;
     }
-    let Some(axis) = divided(rules, &region, primitives.len() as u32) else {
-        sort(primitives, rules, region);
-        parts.push((region, primitives));
+    let Some(axis) = divided(rules, &region, gaussians.len() as u32) else {
+        sort(gaussians, rules, region);
+        parts.push((region, gaussians));
         return;
     };
     let narrow = narrow(rules, &region);
-    let mut wide = primitives.iter().filter(|p| p.major > narrow).count();
+    let mut wide = gaussians.iter().filter(|p| p.major > narrow).count();
     if wide < MIN_WIDE_GROUP || region.log[0] != region.log[1] {
         wide = 0;
     }
     let halves = region.halves(axis);
     let upper = |p: &PackedGaussian| rules.place(p, region).corner[axis] >= halves[1].corner[axis];
-    primitives.sort_by_cached_key(|p| (wide == 0 || p.major <= narrow, upper(p)));
-    let (wide, rest) = primitives.split_at_mut(wide);
+    gaussians.sort_by_cached_key(|p| (wide == 0 || p.major <= narrow, upper(p)));
+    let (wide, rest) = gaussians.split_at_mut(wide);
     let (low, high) = rest.split_at_mut(rest.partition_point(|p| !upper(p)));
     put_varint(wide.len() as u64, out);
     if halves[1].corner[axis] < rules.grid()[axis] {
@@ -199,7 +199,7 @@ fn largest(part: &[PackedGaussian]) -> u8 {
     part.iter().map(|p| p.major).max().unwrap_or(0)
 }
 
-/// Reads the divisions of a region of `count` primitives.
+/// Reads the divisions of a region of `count` Gaussians.
 fn read_divisions(
     bytes: &mut Bytes<'_>,
     rules: &Rules,
@@ -246,14 +246,14 @@ fn read_directory(
     if !(1..=MAX_LEVELS as u64).contains(&count) {
         return Err(Broken { field: "level count", value: count }.into());
     }
-    let mut left = header.primitives;
+    let mut left = header.gaussians;
     for _ in 0..count {
         let value = bytes.varint("level")?;
         let n = u32::try_from(value).ok().filter(|&n| 0 < n && n <= left).ok_or(Broken { field: "level", value })?;
         left -= n;
         splats.levels.push(n);
     }
-    if left > 0 || count == 1 && header.primitives <= MAX_UNGROUPED {
+    if left > 0 || count == 1 && header.gaussians <= MAX_UNGROUPED {
         return Err(Broken { field: "level", value: left.into() }.into());
     }
     let mut entries = Vec::new();
@@ -267,8 +267,8 @@ fn read_directory(
         at = entry.bytes.end;
         entry.largest = bytes.take(1, "largest scale of a group")?[0];
         entry.checksum = bytes.u32("group checksum")?;
-        if u64::from(entry.count) > most_primitives(length) {
-            return Err(Broken { field: "primitives of a group", value: entry.count.into() }.into());
+        if u64::from(entry.count) > most_gaussians(length) {
+            return Err(Broken { field: "Gaussians of a group", value: entry.count.into() }.into());
         }
     }
     let computed = directory_checksum(checksum, &bytes.taken()[start..]);
@@ -358,11 +358,11 @@ pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut P
         let range = usize::try_from(e.bytes.start).ok()?..usize::try_from(e.bytes.end).ok()?;
         streams.get(range)
     };
-    // The bound on primitives per payload, applied to the bytes that are present, so that many tiny groups cannot
+    // The bound on Gaussians per payload, applied to the bytes that are present, so that many tiny groups cannot
     // claim more in total.
     let there: u64 = entries.iter().filter(|e| stream(e).is_some()).map(|e| u64::from(e.count)).sum();
-    if there > most_primitives((start - bytes.left()) as u64) {
-        return Err(Broken { field: "primitive count", value: there }.into());
+    if there > most_gaussians((start - bytes.left()) as u64) {
+        return Err(Broken { field: "number of Gaussians", value: there }.into());
     }
     let group = Group::new(splats, splats.codebook.as_deref())?;
     let parts = parallel::map(entries.len(), |i| {
@@ -371,13 +371,13 @@ pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut P
     let mut missing = MissingParts { of_groups: entries.len() as u32, ..MissingParts::default() };
     for (entry, _) in entries.iter().zip(&parts).filter(|(_, part)| part.is_none()) {
         missing.groups += 1;
-        missing.primitives += entry.count;
+        missing.gaussians += entry.count;
     }
     gather(&entries, parts.into_iter(), splats);
     Ok(missing)
 }
 
-/// Collects the primitives of the groups that were read in `splats`.
+/// Collects the Gaussians of the groups that were read in `splats`.
 fn gather(entries: &[Entry], parts: impl Iterator<Item = Option<Vec<PackedGaussian>>>, splats: &mut PackedSplats) {
     let mut levels = vec![0u32; MAX_LEVELS];
     let mut gaussians = Vec::new();

@@ -29,16 +29,16 @@ const DEPTH_SIXTEEN: u8 = 1 << 5;
 const CODEBOOK: u8 = 1 << 6;
 const SECTIONS: u8 = 1 << 7;
 
-/// Whether each primitive stores its colour or a codebook index.
+/// Whether each Gaussian stores its colour or a codebook index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Coloring {
-    /// Colours are stored with the primitives.
+    /// Colours are stored with the Gaussians.
     Direct,
     /// Colours are stored once, in a codebook.
     Codebook,
 }
 
-/// Division of the primitives into separately coded parts (spec §8.7).
+/// Division of the Gaussians into separately coded parts (spec §8.7).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Grouping {
     /// One part that ends with the file.
@@ -72,14 +72,14 @@ pub struct Header {
     pub channels: Channels,
     /// Bits per sample of the source.
     pub depth: Depth,
-    /// Rule that combines the primitives.
+    /// Rule that combines the Gaussians.
     pub blend: Blend,
     /// Layout of the integers in the file.
     pub layout: Layout,
     /// Step sizes.
     pub steps: Steps,
-    /// Number of primitives.
-    pub primitives: u32,
+    /// Number of Gaussians.
+    pub gaussians: u32,
     /// Whether there is a codebook.
     pub coloring: Coloring,
     /// Whether the payload is divided into groups.
@@ -118,14 +118,14 @@ impl Header {
         let flags = tee.byte("flags")?;
         let width = side("width", tee.varint("width")?)?;
         let height = side("height", tee.varint("height")?)?;
-        let primitives = tee.varint("primitive count")?;
+        let gaussians = tee.varint("number of Gaussians")?;
         let steps = unpack_steps([tee.byte("steps")?, tee.byte("steps")?, tee.byte("steps")?])?;
         Limits::check(Limit::Width, width.into(), limits.width.into())?;
         Limits::check(Limit::Height, height.into(), limits.height.into())?;
-        Limits::check(Limit::Primitives, primitives, limits.primitives)?;
-        Budget::of(limits).check(primitives.saturating_mul(size_of::<PackedGaussian>() as u64))?;
-        let primitives = u32::try_from(primitives)
-            .map_err(|_| FormatError::BadValue { field: "primitive count", value: primitives })?;
+        Limits::check(Limit::Gaussians, gaussians, limits.gaussians)?;
+        Budget::of(limits).check(gaussians.saturating_mul(size_of::<PackedGaussian>() as u64))?;
+        let gaussians = u32::try_from(gaussians)
+            .map_err(|_| FormatError::BadValue { field: "number of Gaussians", value: gaussians })?;
         let (layout, grouping) = match flags & 3 {
             0 => (Layout::Packed, Grouping::Single),
             1 => (Layout::Planes, Grouping::Single),
@@ -143,7 +143,7 @@ impl Header {
             blend: if flags & BLEND_SUM == 0 { Blend::Normalized } else { Blend::Sum },
             layout,
             steps,
-            primitives,
+            gaussians,
             coloring: if flags & CODEBOOK == 0 { Coloring::Direct } else { Coloring::Codebook },
             grouping,
             sections: if flags & SECTIONS == 0 { Sections::Absent } else { Sections::Present },
@@ -156,7 +156,7 @@ impl Header {
         hash(&self.bytes)
     }
 
-    /// Returns the picture of this header without primitives.
+    /// Returns the picture of this header without Gaussians.
     pub(crate) fn empty(&self, metadata: Metadata) -> PackedSplats {
         PackedSplats {
             width: self.width,

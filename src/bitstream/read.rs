@@ -17,7 +17,7 @@ use super::header::{Grouping, Header, Sections};
 #[cfg(any(test, feature = "unstable"))]
 use super::report::Report;
 use super::report::{Detail, EXACT_INDEX, EXACT_STREAMS, INDEX, STREAMS, Tally};
-use super::rules::most_primitives;
+use super::rules::most_gaussians;
 use super::sections::{SectionInfo, SectionsRead, read_sections};
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use super::uncoded::{packed, planes};
@@ -34,11 +34,11 @@ use crate::rect::Rect;
 /// size while the old one exists; later, metadata are copied out of it.
 const FILE_COPIES: u64 = 3;
 
-/// Maximum number of bytes for recording the bits of a primitive: two lists that grow to twice their size while the
+/// Maximum number of bytes for recording the bits of a Gaussian: two lists that grow to twice their size while the
 /// old ones exist.
 const ACCOUNT: u64 = 2 * 3 * size_of::<f32>() as u64;
 
-/// Returns the maximum number of bytes that reading a primitive of a layout takes at any time.
+/// Returns the maximum number of bytes that reading a Gaussian of a layout takes at any time.
 fn working_bytes(layout: Layout) -> u64 {
     let extra = match layout {
         Layout::Packed => 0,
@@ -67,7 +67,7 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
         .map(|(splats, _)| splats)
 }
 
-/// Reads the primitives that are visible in `area`, and possibly others: groups that cannot reach into it are not
+/// Reads the Gaussians that are visible in `area`, and possibly others: groups that cannot reach into it are not
 /// decoded. For the whole picture, the result is the same as that of [`read`].
 ///
 /// # Errors
@@ -163,7 +163,7 @@ impl Reading<'_> {
     ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let mut working = self.reserve(header, rest)?;
         if tally.detail == Detail::Fields {
-            working.grow(u64::from(header.primitives) * ACCOUNT)?;
+            working.grow(u64::from(header.gaussians) * ACCOUNT)?;
         }
         let base = header.bytes().len() as u64;
         let end = rest
@@ -184,8 +184,8 @@ impl Reading<'_> {
         }
         let spans = spans(detail.as_ref(), exact.as_ref())?;
         let mut payload = payload(header, &mut bytes, (spans, detail.is_some()))?;
-        if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
-            return Err(FormatError::BadValue { field: "primitive count", value: header.primitives.into() }.into());
+        if u64::from(header.gaussians) > most_gaussians(payload.left() as u64) {
+            return Err(FormatError::BadValue { field: "number of Gaussians", value: header.gaussians.into() }.into());
         }
         let mut splats = header.empty(metadata);
         match (header.layout, header.grouping) {
@@ -275,9 +275,9 @@ impl Reading<'_> {
             }
             (Grouping::Single, _) => {
                 let mut payload = payload(header, &mut bytes, (spans, detail.is_some()))?;
-                if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
-                    let value = header.primitives.into();
-                    return Err(FormatError::BadValue { field: "primitive count", value }.into());
+                if u64::from(header.gaussians) > most_gaussians(payload.left() as u64) {
+                    let value = header.gaussians.into();
+                    return Err(FormatError::BadValue { field: "number of Gaussians", value }.into());
                 }
                 coded::read(&mut payload, header, &mut splats, &mut Tally::default())?;
                 payload.finish()?;
@@ -403,8 +403,8 @@ impl Reading<'_> {
 
     /// Reserves the maximum memory that parsing `rest` can take.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
-        let primitives = u64::from(header.primitives) * working_bytes(header.layout);
-        self.budget.reserve(FILE_COPIES * rest.len() as u64 + primitives)
+        let gaussians = u64::from(header.gaussians) * working_bytes(header.layout);
+        self.budget.reserve(FILE_COPIES * rest.len() as u64 + gaussians)
     }
 
     /// Reads the sections, if there are any.

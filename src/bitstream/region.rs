@@ -1,4 +1,4 @@
-//! Regions of the grid of positions that are halved repeatedly, and the squares that contain primitives (spec §8.4).
+//! Regions of the grid of positions that are halved repeatedly, and the squares that contain Gaussians (spec §8.4).
 
 /// A region of the grid: its corner, and the binary logarithms of its sides, in cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +35,7 @@ impl Region {
         self.log[0] + self.log[1]
     }
 
-    /// Returns the place of a primitive in the square of `2^log` cells that contains `cell`.
+    /// Returns the place of a Gaussian in the square of `2^log` cells that contains `cell`.
     pub(crate) fn place(&self, cell: [u32; 2], log: u32) -> Place {
         let (mut region, mut key) = (*self, 0);
         while region.log != [log; 2] {
@@ -54,7 +54,7 @@ impl Region {
     }
 }
 
-/// Place of a primitive: the square, with a side of `2^log` finest cells, that is as coarse as its position step.
+/// Place of a Gaussian: the square, with a side of `2^log` finest cells, that is as coarse as its position step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Place {
     /// Binary logarithm of the side; coarse squares come first.

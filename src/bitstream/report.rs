@@ -1,4 +1,4 @@
-//! Accounts for the bytes of a file: by part and, for the primitives, by field.
+//! Accounts for the bytes of a file: by part and, for the Gaussians, by field.
 
 use super::coder::range::Meter;
 #[cfg(any(test, feature = "unstable"))]
@@ -13,12 +13,12 @@ pub struct Part {
     pub bytes: u64,
 }
 
-/// Bits of one field, over all primitives.
+/// Bits of one field, over all Gaussians.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Field {
     /// Its name in the specification.
     pub name: &'static str,
-    /// Bits of all primitives together; fractional with entropy coding.
+    /// Bits of all Gaussians together; fractional with entropy coding.
     pub bits: f64,
 }
 
@@ -35,12 +35,12 @@ pub struct Report {
     pub parts: Vec<Part>,
     /// Sections in the order of the file.
     pub sections: Vec<SectionInfo>,
-    /// Fields of the primitives.
+    /// Fields of the Gaussians.
     pub fields: Vec<Field>,
-    /// Bits of each primitive, in the order in which they are read. Bits that code the positions of all primitives, or
-    /// of a group, are distributed equally. Empty for layouts in which all primitives have the same size.
+    /// Bits of each Gaussian, in the order in which they are read. Bits that code the positions of all Gaussians, or
+    /// of a group, are distributed equally. Empty for layouts in which all Gaussians have the same size.
     pub each: Vec<f32>,
-    /// Primitives of each progressive level.
+    /// Gaussians of each progressive level.
     pub levels: Vec<u32>,
     /// Number of separately coded groups; 1 without a directory.
     pub groups: u32,

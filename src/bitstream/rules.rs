@@ -42,9 +42,9 @@ pub fn most_color(steps: &Steps, channels: Channels) -> [i16; 4] {
     }
 }
 
-/// Returns the maximum number of primitives in a payload of `bytes` bytes. Real primitives take 20 bits or more, and a
+/// Returns the maximum number of Gaussians in a payload of `bytes` bytes. Real Gaussians take 20 bits or more, and a
 /// file of a few bytes that claims millions must not cost the work of millions.
-pub(crate) fn most_primitives(bytes: u64) -> u64 {
+pub(crate) fn most_gaussians(bytes: u64) -> u64 {
     bytes.saturating_mul(8).saturating_add(1024)
 }
 
@@ -108,7 +108,7 @@ impl Rules {
         self.size.map(|side| Lattice::positions(side, self.finest()))
     }
 
-    /// Returns the region that contains every primitive.
+    /// Returns the region that contains every Gaussian.
     pub(crate) fn region(&self) -> Region {
         Region::whole(self.grid(), self.range)
     }
@@ -123,7 +123,7 @@ impl Rules {
         exponents.map(|e| (e - self.finest()) as u32)
     }
 
-    /// Returns the binary logarithm of the side, in finest cells, of the square that contains a primitive of this
+    /// Returns the binary logarithm of the side, in finest cells, of the square that contains a Gaussian of this
     /// major scale: the position step that it would have along its major axis, which is the coarsest that its shape
     /// can have.
     pub(crate) fn seat(&self, major: u8) -> u32 {
@@ -131,19 +131,19 @@ impl Rules {
         ((log64 + 32).div_euclid(64).clamp(self.finest(), self.coarsest) - self.finest()) as u32
     }
 
-    /// Returns the smallest and the largest major scale of primitives in squares of side `2^log` cells.
+    /// Returns the smallest and the largest major scale of Gaussians in squares of side `2^log` cells.
     pub(crate) fn majors(&self, log: u32) -> Result<(u8, u8), Broken> {
         let (low, high) = self.majors[log as usize];
         if low > high { Err(Broken { field: "square without a scale", value: log.into() }) } else { Ok((low, high)) }
     }
 
-    /// Returns an upper bound of half the longest axis of the support of a primitive of this major scale, pixels.
+    /// Returns an upper bound of half the longest axis of the support of a Gaussian of this major scale, pixels.
     pub(crate) fn reach(&self, major: u8) -> f64 {
         let log2 = f64::from(i32::from(major) * self.delta) / 32.0 - 2.0;
         f64::from(CUTOFF) * log2.exp2() * (1.0 + 1e-6)
     }
 
-    /// Returns the square that contains a primitive.
+    /// Returns the square that contains a Gaussian.
     pub(crate) fn place(&self, p: &PackedGaussian, region: Region) -> Place {
         let [lx, ly] = self.logs(p.major, p.minor, p.angle);
         region.place([p.x << lx, p.y << ly], self.seat(p.major))
@@ -184,7 +184,7 @@ impl Rules {
         book.try_for_each(|&c| self.color(c)).map_err(named("codebook"))
     }
 
-    pub(crate) fn primitive(&self, p: &PackedGaussian) -> Result<(), Broken> {
+    pub(crate) fn gaussian(&self, p: &PackedGaussian) -> Result<(), Broken> {
         self.shape(p.major, p.minor, p.angle)?;
         self.position([p.x, p.y], self.lattice.exponents(p.major, p.minor, p.angle))?;
         self.color(p.color)
@@ -252,7 +252,7 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
     }
     in_range("coarsest step", (-6..=9).contains(&s.coarsest), s.coarsest as u64)?;
     in_range("position range", i32::from(s.coarsest) - i32::from(s.range) >= MIN_EXPONENT, s.range.into())?;
-    in_range("primitive count", u32::try_from(splats.gaussians.len()).is_ok(), splats.gaussians.len() as u64)?;
+    in_range("number of Gaussians", u32::try_from(splats.gaussians.len()).is_ok(), splats.gaussians.len() as u64)?;
     let leveled = splats.levels.iter().map(|&n| u64::from(n)).sum::<u64>();
     in_range("levels", splats.levels.is_empty() || leveled == splats.gaussians.len() as u64, leveled)?;
     in_range("levels", !splats.levels.contains(&0), 0)?;
@@ -263,7 +263,7 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
         in_range("codebook size", (1..=MAX_CODEBOOK).contains(&codebook.len()), codebook.len() as u64)?;
     }
     rules.palette(splats)?;
-    splats.gaussians.iter().try_for_each(|p| rules.primitive(p))
+    splats.gaussians.iter().try_for_each(|p| rules.gaussian(p))
 }
 
 #[cfg(test)]

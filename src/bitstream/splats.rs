@@ -27,7 +27,7 @@ pub struct Steps {
     pub chroma: u8,
 }
 
-/// One primitive in integers.
+/// One Gaussian in integers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub struct PackedGaussian {
     /// x of the mean: `(x + ½)·2^ex` pixels, where `ex` follows from the scales and the angle (spec §4.3).
@@ -103,7 +103,7 @@ pub struct PackedSplats {
     pub channels: Channels,
     /// Bits per sample of the source.
     pub depth: Depth,
-    /// Rule that combines the primitives.
+    /// Rule that combines the Gaussians.
     pub blend: Blend,
     /// Layout of the integers in the file.
     pub layout: Layout,
@@ -111,12 +111,12 @@ pub struct PackedSplats {
     pub steps: Steps,
     /// Background colour as integers in the form of [`PackedGaussian::color`].
     pub background: [i16; 4],
-    /// The colours that occur, in ascending order, if each primitive stores an index instead of its colour; at most
+    /// The colours that occur, in ascending order, if each Gaussian stores an index instead of its colour; at most
     /// 65536.
     pub codebook: Option<Vec<[i16; 4]>>,
-    /// The primitives, level by level.
+    /// The Gaussians, level by level.
     pub gaussians: Vec<PackedGaussian>,
-    /// Number of primitives of each progressive level, coarse levels first, at most 8; empty for one level. Only the
+    /// Number of Gaussians of each progressive level, coarse levels first, at most 8; empty for one level. Only the
     /// coded layout can have several. A file that is truncated after a level still gives a whole, coarser picture.
     pub levels: Vec<u32>,
     /// The detail layer, which is added to the rendered Gaussians. Only the coded layout can have one.

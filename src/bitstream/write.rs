@@ -11,14 +11,14 @@ use super::exact::head::{self as exact_head, ExactHead};
 use super::exact::index as exact_index;
 use super::groups;
 use super::header::{Grouping, Sections, put_header};
-use super::rules::{self, most_primitives};
+use super::rules::{self, most_gaussians};
 use super::sections::{DETAIL, EXACT, put_sections};
 use super::splats::{Layout, PackedSplats};
 use super::uncoded::{packed, planes};
 use crate::error::{Error, Result};
 use crate::parameter::Parameter;
 
-/// Writes `splats` in their layout. The primitives of a level are sorted into the order of the layout.
+/// Writes `splats` in their layout. The Gaussians of a level are sorted into the order of the layout.
 ///
 /// # Errors
 /// [`Error::Parameter`] if the integers break spec §4, [`Error::Io`] from the writer.
@@ -71,9 +71,9 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
         exact_index::put(layer, size, splats.channels, splats.depth, &mut out);
     }
     checksum.update(&out[behind..]);
-    if splats.gaussians.len() as u64 > most_primitives(payload.len() as u64) {
+    if splats.gaussians.len() as u64 > most_gaussians(payload.len() as u64) {
         let problem = format!("{} are more than 1024 and 8 a byte", splats.gaussians.len());
-        return Err(Error::Parameter { parameter: Parameter::Other("primitive count"), problem });
+        return Err(Error::Parameter { parameter: Parameter::Other("number of Gaussians"), problem });
     }
     out.extend_from_slice(&checksum.finalize().to_le_bytes());
     Ok(out)

@@ -18,17 +18,6 @@ pub(crate) const PSNR_LAMBDA: f32 = 0.10;
 /// Biases of the reconstruction for the lowest squared error, as in the head of the layer. Those of `DetailHead::PLAIN`
 /// lose 0.02 dB at a ratio of 20 and nothing at 50.
 pub(crate) const PSNR_BIASES: [u8; 2] = [1, 3];
-/// λ for SSIM, in squared steps. With the [slopes](SSIM_SLOPES) for SSIM, 0.075 changes nothing.
-pub(crate) const SSIM_LAMBDA: f32 = 0.09;
-/// Biases of the reconstruction for SSIM.
-pub(crate) const SSIM_BIASES: [u8; 2] = [2, 4];
-/// Exponents of the luma variance with which the steps grow for SSIM, in fine and in coarse layers.
-pub(crate) const SSIM_VARIANCE_EXPONENTS: [f32; 2] = [0.08; 2];
-/// Growth of the steps with frequency for SSIM. Compared with slopes of 16 at every step, at effort 3, these gain
-/// 0.0011 of MS-SSIM (1.9 SSIMULACRA2 points) on seven pictures at a ratio of 50 and 0.0037 on three Kodak pictures at
-/// 100. They lose 0.26 and 0.33 dB.
-pub(crate) const SSIM_SLOPES: &[Knot] =
-    &[Knot { step: 600, slopes: [16, 16], chroma: [48, 32] }, Knot { step: 3000, slopes: [90, 40], chroma: [48, 32] }];
 /// λ for perceptual tuning, in squared steps.
 pub(crate) const IQ_LAMBDA: f32 = 0.1;
 /// Biases of the reconstruction for perceptual tuning. [0, 2] loses 0.1 to 0.2 points at efforts 1 and 2, 0.07 at 2.8

@@ -150,21 +150,13 @@ pub(crate) const MAX_RIDGE_ASPECT: f32 = 4.0;
 /// Standard deviation of the residual's blur, in cells of its level: between 1.2 and 1.4.
 pub(crate) const RESIDUAL_BLUR: f32 = 1.25;
 
-// Weights for structure (`model/objective/structure.rs`).
+// Weights for masking (`model/objective/masking.rs`).
 
 /// Constant added to twice the variance of samples in `0..=1`. It is larger than SSIM's `C₂` of 0.0009, so that smooth
 /// areas do not get nearly all of the weight.
-pub(crate) const STRUCTURE_VARIANCE_FLOOR: f32 = 0.005;
-/// Exponent of the inverse where primitives are dense. An exponent of 1 would be the slope of SSIM itself and would
-/// cost more decibels than `--tune ssim` allows.
-pub(crate) const STRUCTURE_EXPONENT: f32 = 0.5;
-/// Pixels per primitive above which the exponent falls with their square root. Large primitives have little to do with
-/// the variance over a few pixels, and the same exponent costs more decibels the fewer primitives there are.
-pub(crate) const STRUCTURE_DENSE_PIXELS: f32 = 160.0;
+pub(crate) const VARIANCE_FLOOR: f32 = 0.005;
 /// Largest weight, and the inverse of the smallest.
-pub(crate) const MAX_STRUCTURE_WEIGHT: f32 = 20.0;
-
-// Weights for masking (`model/objective/masking.rs`).
+pub(crate) const MAX_WEIGHT: f32 = 20.0;
 
 /// Exponent of the inverse where primitives are dense. On kodim05, 13 and 23 at a ratio of 50, exponents of 0.5, 0.7
 /// and 0.9 gained about 7, 8 and 10 points of SSIMULACRA2 for 0.1, 0.2 and 0.5 dB. With 0.9, Butteraugli was worse than

@@ -1,4 +1,4 @@
-//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`SplatImage`] is a file that can be rendered
+//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`SsplatImage`] is a file that can be rendered
 //! repeatedly.
 
 mod decoder;
@@ -8,7 +8,7 @@ mod thumbnail;
 pub use decoder::Decoder;
 #[cfg(feature = "gpu")]
 pub(crate) use reader::check_view;
-pub use reader::{Reader, SplatImage};
+pub use reader::{Reader, SsplatImage};
 
 use crate::bitstream::MissingParts;
 use crate::bitstream::splats::Metadata;

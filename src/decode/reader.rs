@@ -88,7 +88,7 @@ pub struct Reader<'a> {
 /// # Ok::<(), ssplat::Error>(())
 /// ```
 #[derive(Debug)]
-pub struct SplatImage {
+pub struct SsplatImage {
     pub(crate) splats: PackedSplats,
     missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
@@ -109,7 +109,7 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for another version,
-    /// [`Error::LimitExceeded`] if a side of the picture or the number of its primitives exceeds `limits`.
+    /// [`Error::LimitExceeded`] if a side of the picture or the number of its Gaussians exceeds `limits`.
     #[doc(alias = "parse")]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
@@ -158,8 +158,8 @@ impl<'a> Reader<'a> {
     /// Returns the number of Gaussians.
     #[must_use]
     #[doc(alias("gaussians", "splats"))]
-    pub fn primitives(&self) -> u32 {
-        self.header.primitives
+    pub fn gaussian_count(&self) -> u32 {
+        self.header.gaussians
     }
 
     /// Returns everything that the header states.
@@ -172,7 +172,7 @@ impl<'a> Reader<'a> {
     /// Returns the view of the whole picture at its own size.
     #[must_use]
     pub fn view(&self) -> View {
-        View::of_size(self.header.width, self.header.height)
+        View::new(self.header.width, self.header.height)
     }
 
     /// Reads the ICC profile, the EXIF block and the thumbnail, without reading the picture. Each has its own
@@ -197,7 +197,7 @@ impl<'a> Reader<'a> {
     /// cases.
     ///
     /// # Errors
-    /// As [`read`](Reader::read), and [`SplatImage::render`]; [`Error::Parameter`] if a side of `within` is 0.
+    /// As [`read`](Reader::read), and [`SsplatImage::render`]; [`Error::Parameter`] if a side of `within` is 0.
     #[doc(alias = "preview")]
     pub fn thumbnail(&self, within: [u32; 2]) -> Result<Decoded> {
         super::thumbnail::thumbnail(self, within)
@@ -213,7 +213,7 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
     /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
-    pub fn read(&self) -> Result<SplatImage> {
+    pub fn read(&self) -> Result<SsplatImage> {
         self.read_part(None, Layers::Both)
     }
 
@@ -224,14 +224,14 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
     #[doc(alias("region", "crop"))]
-    pub fn read_for(&self, view: &View) -> Result<SplatImage> {
+    pub fn read_for(&self, view: &View) -> Result<SsplatImage> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
         self.read_part(Some(view.area()), view.shown())
     }
 
-    fn read_part(&self, area: Option<Rect>, layers: Layers) -> Result<SplatImage> {
+    fn read_part(&self, area: Option<Rect>, layers: Layers) -> Result<SsplatImage> {
         let Reader { header, rest, limits, budget, damage } = self;
         let reading = Reading { limits, budget, layers };
         let read = match damage {
@@ -249,7 +249,7 @@ impl<'a> Reader<'a> {
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let kept = budget.reserve((carried + size_of_val(&damaged[..])) as u64 + layer)?;
         let (limits, budget) = (limits.clone(), budget.clone());
-        Ok(SplatImage { splats, missing, area, limits, budget, layers, integers, kept })
+        Ok(SsplatImage { splats, missing, area, limits, budget, layers, integers, kept })
     }
 }
 
@@ -279,11 +279,11 @@ impl Reader<'static> {
     }
 }
 
-impl SplatImage {
+impl SsplatImage {
     /// Returns the view of the whole picture at its own size, with the layers that were read.
     #[must_use]
     pub fn view(&self) -> View {
-        View::of_size(self.splats.width, self.splats.height).layers(self.layers)
+        View::new(self.splats.width, self.splats.height).layers(self.layers)
     }
 
     /// Returns the integers that were read.
@@ -310,7 +310,7 @@ impl SplatImage {
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] if they would take too much memory.
-    #[doc(alias("splats", "primitives", "export"))]
+    #[doc(alias("splats", "export"))]
     pub fn gaussians(&self) -> Result<Gaussians> {
         self.budget.check((size_of::<Gaussian>() * self.splats.gaussians.len()) as u64)?;
         Ok(self.splats.to_gaussians())
@@ -336,7 +336,7 @@ impl SplatImage {
     /// Renders `view` with the channels and the depth of the file.
     ///
     /// # Errors
-    /// As [`SplatImage::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
+    /// As [`SsplatImage::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
     #[doc(alias("draw", "rasterize", "decode"))]
     pub fn render(&self, view: &View) -> Result<Pixels> {
         self.renderer(view)?.render(self.splats.depth)
@@ -346,7 +346,7 @@ impl SplatImage {
     /// of `out` for several pictures saves the time of allocating it.
     ///
     /// # Errors
-    /// As [`SplatImage::renderer`].
+    /// As [`SsplatImage::renderer`].
     ///
     /// # Panics
     /// If `out` does not have exactly width × height × channels samples.

@@ -165,7 +165,7 @@ pub(super) fn rounds(state: &EncodeState<'_>, shared: u64) -> u32 {
         Tune::Psnr => rounds.exact[usize::from(is_search(state.options.target))],
         _ if state.pixels() >= fit::LARGE_PIXELS && !rounds.includes_large_pictures => 0,
         Tune::Iq if state.samples() / shared as f64 <= allocation::MAX_RATIO_OF_LARGE_FILES => rounds.in_large_files,
-        Tune::Ssim | Tune::Iq => rounds.perceptual,
+        Tune::Iq => rounds.perceptual,
     }
 }
 
@@ -178,7 +178,7 @@ pub(super) fn has_rounds(state: &EncodeState<'_>) -> bool {
 /// Returns whether the encoder tries several sizes until the file reaches the requested quality.
 pub(super) fn is_search(target: Target) -> bool {
     match target {
-        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) | Target::Lossless => false,
+        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Gaussians(_) | Target::Lossless => false,
         Target::Psnr(_) => true,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => true,

@@ -114,26 +114,3 @@ pub(super) fn widen(splats: &PackedSplats, channels: Channels) -> PackedSplats {
     }
     wide
 }
-
-/// Converts the samples of a narrow picture to those of `channels`.
-pub(super) fn widen_pixels(pixels: Pixels, channels: Channels) -> Pixels {
-    let from = pixels.channels();
-    if from == channels {
-        return pixels;
-    }
-    let samples = match pixels.samples() {
-        Samples::U8(v) => Samples::U8(widened(v, from, channels, u8::MAX)),
-        Samples::U16(v) => Samples::U16(widened(v, from, channels, u16::MAX)),
-    };
-    Pixels::new(pixels.width(), pixels.height(), channels, samples).expect("as many samples as the size says")
-}
-
-fn widened<T: Copy>(samples: &[T], from: Channels, to: Channels, white: T) -> Vec<T> {
-    let colors = from.count() - usize::from(from.alpha().is_some());
-    let value = |p: &[T], k: usize| match (to.alpha() == Some(k), from.alpha()) {
-        (true, Some(a)) => p[a],
-        (true, None) => white,
-        _ => p[k.min(colors - 1)],
-    };
-    samples.chunks_exact(from.count()).flat_map(|p| (0..to.count()).map(move |k| value(p, k))).collect()
-}

@@ -34,8 +34,8 @@ pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
         Detail::GaussianShare(_) if options.layout != Layout::Coded => {
             return bad(Parameter::Detail, "only the coded layout has a detail layer".into());
         }
-        Detail::GaussianShare(_) if matches!(options.target, Target::Primitives(_)) => {
-            return bad(Parameter::Detail, "a file of a number of primitives has no detail layer".into());
+        Detail::GaussianShare(_) if matches!(options.target, Target::Gaussians(_)) => {
+            return bad(Parameter::Detail, "a file of a number of Gaussians has no detail layer".into());
         }
         _ => {}
     }
@@ -46,8 +46,8 @@ pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
         Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad(Parameter::Psnr, format!("{p} is not a positive number")),
         #[cfg(feature = "quality-hook")]
         Target::Quality(q) if !(0.0..=100.0).contains(&q) => bad(Parameter::Quality, format!("{q} is outside 0..=100")),
-        Target::Primitives(n) if u64::from(n) > MAX_PRIMITIVES => {
-            bad(Parameter::Primitives, format!("{n} is over {MAX_PRIMITIVES}"))
+        Target::Gaussians(n) if u64::from(n) > MAX_PRIMITIVES => {
+            bad(Parameter::Gaussians, format!("{n} is over {MAX_PRIMITIVES}"))
         }
         _ => Ok(()),
     }

@@ -14,7 +14,7 @@ use crate::fit::engine::{Ending, Snapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::objective::{masking, structure};
+use crate::fit::model::objective::masking;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::{Plan, reduction};
 use crate::fit::state::State;
@@ -102,7 +102,6 @@ fn weigh(picture: &mut WholePicture<'_>, count: usize) {
     let WholePicture { state, planes, .. } = picture;
     planes.amplitude = match state.options.favoured() {
         Tune::Psnr => Vec::new(),
-        Tune::Ssim => structure::amplitudes(planes, count),
         Tune::Iq => masking::amplitudes(planes, count),
     };
     if state.options.favoured() == Tune::Iq {

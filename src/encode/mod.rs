@@ -34,7 +34,6 @@ mod texture;
 mod thumbnail;
 mod tiles;
 mod timed_effort;
-mod trace;
 #[cfg(feature = "quality-hook")]
 mod trim;
 mod whole;
@@ -67,8 +66,6 @@ pub use steps::MAX_WHOLE_PIXELS;
 #[cfg(any(test, feature = "unstable"))]
 pub use texture::Texture;
 pub use tiles::work_on_tile;
-#[cfg(any(test, feature = "unstable"))]
-pub use trace::TracePoint;
 pub(crate) use workers::Executor;
 pub use workers::Workers;
 

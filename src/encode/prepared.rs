@@ -107,15 +107,11 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Adds the stored picture, whose squared error over the samples of all channels is `error`, as the last point of
-    /// the trace.
-    pub(super) fn trace_end(&mut self, splats: &PackedSplats, error: f64) -> Result<()> {
+    /// Shows the stored picture to the inspector. Pictures in tiles are not inspected.
+    pub(super) fn inspect_written(&mut self, splats: &PackedSplats) -> Result<()> {
         match self {
-            Prepared::Whole(picture) => picture.trace_end(splats),
-            Prepared::Tiled(picture) => {
-                picture.trace_end(splats, error);
-                Ok(())
-            }
+            Prepared::Whole(picture) => picture.inspect_written(splats),
+            Prepared::Tiled(_) => Ok(()),
         }
     }
 }

@@ -68,7 +68,7 @@ fn prefer_one_color(picture: &WholePicture<'_>, outcome: &mut Outcome, size: Siz
         PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
     let options = picture.state.options;
     let may_be_flat =
-        constant::is_possible(options, picture.state.blank.blend) && !matches!(options.target, Target::Primitives(_));
+        constant::is_possible(options, picture.state.blank.blend) && !matches!(options.target, Target::Gaussians(_));
     let flat = may_be_flat.then(|| picture.flat());
     let mut error = picture.error_of(&outcome.splats);
     for single in [Some(background), flat].into_iter().flatten() {

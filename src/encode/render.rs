@@ -11,7 +11,7 @@ use crate::rect::Rect;
 
 /// Returns limits for the encoder's own integers, whose work need not be limited.
 pub(super) fn own_limits() -> Limits {
-    Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, primitives: u64::MAX, ..Limits::default() }
+    Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, gaussians: u64::MAX, ..Limits::default() }
 }
 
 /// Checks that decoders with default limits open the file of `splats` and render the whole picture, without rendering
@@ -32,7 +32,7 @@ pub(super) fn check_metadata(metadata: &Metadata) -> Result<()> {
 
 /// The part of [`check_opens`] that concerns the picture.
 pub(super) fn check_renders(splats: &PackedSplats) -> Result<()> {
-    splats.renderer(&View::of_size(splats.width, splats.height), &Limits::default()).map(drop)
+    splats.renderer(&View::new(splats.width, splats.height), &Limits::default()).map(drop)
 }
 
 /// Renders the picture within `view`.
@@ -44,10 +44,10 @@ pub(super) fn drawn(splats: &PackedSplats, view: &View, depth: Depth) -> Result<
 pub(super) fn drawn_like(splats: &PackedSplats, like: &Pixels) -> Result<Pixels> {
     let wide = (splats.channels != like.channels()).then(|| widen(splats, like.channels()));
     let splats = wide.as_ref().unwrap_or(splats);
-    drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)
+    drawn(splats, &View::new(splats.width, splats.height), splats.depth)
 }
 
 /// Renders a part of the picture, given as left, top, width and height in pixels.
 pub(super) fn drawn_part(splats: &PackedSplats, area: Rect, depth: Depth) -> Result<Pixels> {
-    drawn(splats, &View::of_size(splats.width, splats.height).crop(area)?, depth)
+    drawn(splats, &View::new(splats.width, splats.height).crop(area)?, depth)
 }

@@ -1,14 +1,15 @@
 //! The report of an encode: its progress, the time of its stages, and everything that it skipped.
 
 use std::ops::ControlFlow;
+use std::time::Duration;
 
 use super::device::Chosen;
 use super::input::EncodeInput;
 use super::skipped::{SkipReason, Skipped};
-use super::trace::{TracePoint, Tracer};
 use crate::error::{Error, Result};
-use crate::fit::engine::Snapshot;
+use crate::fit::engine::{Inspector, Moment, Snapshot};
 use crate::fit::model::objective::planes::Planes;
+use crate::instant::Instant;
 
 /// An encoded picture.
 #[derive(Debug, Clone)]
@@ -24,8 +25,8 @@ pub struct Encoded {
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct EncodeReport {
-    /// Number of primitives in the file.
-    pub primitives: usize,
+    /// Number of Gaussians in the file.
+    pub gaussians: usize,
     /// Effort of the encode, 1 to 9: the requested one, or a lower one if the time limit is too short for it. It is 0
     /// if the Gaussians were given.
     pub effort: u8,
@@ -38,7 +39,7 @@ pub struct EncodeReport {
     /// with a side below 64 pixels are mirrored before they are measured, and samples of 16 bits that use less than an
     /// eighth of their range are stretched, as described at `Target::Quality`.
     pub quality: Option<f64>,
-    /// Wall-clock seconds of the encode, excluding tracing.
+    /// Wall-clock seconds of the encode.
     pub seconds: f64,
     /// Seconds of each stage, in order.
     pub stages: Vec<StageTime>,
@@ -46,12 +47,6 @@ pub struct EncodeReport {
     pub skipped: Vec<Skipped>,
     /// Device that fitted the picture, and the reason for the choice.
     pub chosen: Chosen,
-    /// Quality during the encode, if it is traced.
-    #[cfg(feature = "unstable")]
-    pub trace: Vec<TracePoint>,
-    #[cfg(not(feature = "unstable"))]
-    #[allow(dead_code, reason = "only tools trace encodes")]
-    pub(crate) trace: Vec<TracePoint>,
 }
 
 /// Progress of an encode.
@@ -62,12 +57,6 @@ pub struct Progress {
     pub stage: &'static str,
     /// Fraction of the stage that is done, `0..=1`.
     pub done: f32,
-    /// Last measured PSNR in dB, if the encode is traced.
-    #[cfg(feature = "unstable")]
-    pub psnr: Option<f64>,
-    #[cfg(not(feature = "unstable"))]
-    #[allow(dead_code, reason = "only tools trace encodes")]
-    pub(crate) psnr: Option<f64>,
 }
 
 /// Time of one stage of an encode.
@@ -76,39 +65,39 @@ pub struct Progress {
 pub struct StageTime {
     /// Name of the stage, as in [`Progress`].
     pub name: &'static str,
-    /// Wall-clock seconds of the stage, excluding tracing.
+    /// Wall-clock seconds of the stage.
     pub seconds: f64,
 }
 
 /// The report of an encode in progress.
 pub(super) struct ReportBuilder<'a> {
     pub progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
-    pub tracer: Tracer,
+    start: Instant,
+    inspector: Option<Inspector>,
+    /// Time that the inspector took.
+    inspected: Duration,
     pub stages: Vec<StageTime>,
     /// The skipped parts, in the order in which they were found.
     pub skipped: Vec<Skipped>,
 }
 
 impl<'a> ReportBuilder<'a> {
-    pub(super) fn new(progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>, tracer: Tracer) -> Self {
-        ReportBuilder { progress, tracer, stages: Vec::new(), skipped: Vec::new() }
+    pub(super) fn new(progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>, inspector: Option<Inspector>) -> Self {
+        let (start, inspected) = (Instant::now(), Duration::ZERO);
+        ReportBuilder { progress, start, inspector, inspected, stages: Vec::new(), skipped: Vec::new() }
     }
 
-    /// Returns the seconds since the start of the encode, excluding tracing.
+    /// Returns the seconds since the start of the encode, excluding inspections.
     pub(super) fn seconds(&self) -> f64 {
-        self.tracer.seconds()
+        (self.start.elapsed() - self.inspected).as_secs_f64()
     }
 
-    /// Reports the fraction of a stage that is done, without measuring anything.
+    /// Reports the fraction of a stage that is done, without an inspection.
     ///
     /// # Errors
     /// [`Error::Cancelled`] if the caller cancels.
     pub(super) fn stage_progress(&mut self, stage: &'static str, done: f32) -> Result<()> {
-        self.notify(&Progress { stage, done, psnr: None })
-    }
-
-    fn notify(&mut self, progress: &Progress) -> Result<()> {
-        match (self.progress)(progress) {
+        match (self.progress)(&Progress { stage, done }) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(Error::Cancelled),
         }
@@ -128,7 +117,7 @@ impl<'a> ReportBuilder<'a> {
     }
 }
 
-/// A stage of an encode in progress, which is traced and reported at every step.
+/// A stage of an encode in progress, which is reported at every step.
 pub(super) struct Stage<'a, 'b> {
     pub name: &'static str,
     pub report: &'a mut ReportBuilder<'b>,
@@ -142,8 +131,18 @@ impl Stage<'_, '_> {
     /// # Errors
     /// [`Error::Cancelled`] if the caller cancels, and the errors of inspecting the current state.
     pub(super) fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
-        let stage = self.name;
-        let psnr = self.report.tracer.step(stage, self.input.original, self.planes, now)?;
-        self.report.notify(&Progress { stage, done, psnr })
+        self.inspect(now)?;
+        self.report.stage_progress(self.name, done)
+    }
+
+    /// Shows the current state to the inspector, if there is one.
+    pub(super) fn inspect(&mut self, now: &mut dyn Snapshot) -> Result<()> {
+        let Some(inspector) = self.report.inspector else { return Ok(()) };
+        let (clock, seconds) = (Instant::now(), self.report.seconds());
+        inspector
+            .0
+            .inspect(&Moment { stage: self.name, seconds, original: self.input.original, target: self.planes }, now)?;
+        self.report.inspected += clock.elapsed();
+        Ok(())
     }
 }

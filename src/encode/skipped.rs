@@ -45,9 +45,9 @@ pub enum SkipReason {
     NearColors,
     /// The last iterations, because the error was already small enough.
     Iterations,
-    /// Primitives, because the error stays small enough without them.
-    Primitives,
-    /// A separate colour for each primitive, because a codebook is smaller.
+    /// Gaussians, because the error stays small enough without them.
+    Gaussians,
+    /// A separate colour for each Gaussian, because a codebook is smaller.
     OwnColors,
     /// The GPU, if the encoder might have used one.
     Gpu {
@@ -75,10 +75,10 @@ impl fmt::Display for SkipReason {
             SkipReason::Loss => "Gaussians and a detail layer: the picture without loss needs no more bytes",
             SkipReason::NearColors => "Gaussians and a detail layer: colours near those of the picture are better",
             SkipReason::Iterations => "iterations: the error is below the rounding error, or well below the target",
-            SkipReason::Primitives => {
-                "primitives: without them, the error stays below the rounding error or the target"
+            SkipReason::Gaussians => {
+                "Gaussians: without them, the error stays below the rounding error or the target"
             }
-            SkipReason::OwnColors => "a separate colour for each primitive: a codebook is smaller",
+            SkipReason::OwnColors => "a separate colour for each Gaussian: a codebook is smaller",
             SkipReason::Gpu { reason } => return write!(f, "the GPU: {reason}"),
         })
     }

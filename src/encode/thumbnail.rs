@@ -72,7 +72,7 @@ fn of(
     encode: EncodeWhole,
     on_progress: &mut dyn FnMut(f32) -> ControlFlow<()>,
 ) -> Result<Vec<u8>> {
-    let whole = View::of_size(splats.width, splats.height);
+    let whole = View::new(splats.width, splats.height);
     let small = drawn(splats, &whole.fitted([encode::MAX_THUMBNAIL_SIDE; 2])?, splats.depth)?;
     let options = EncodeOptions {
         target: Target::Bytes(max_bytes),
@@ -156,9 +156,8 @@ fn of_size(
         return Ok(None);
     }
     let since = report.seconds();
-    let bytes = of(splats, max_bytes, options, encode, &mut |done| {
-        (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
-    })?;
+    let bytes =
+        of(splats, max_bytes, options, encode, &mut |done| (report.progress)(&Progress { stage: "thumbnail", done }))?;
     report.stage("thumbnail", since);
     Ok(Some(bytes))
 }

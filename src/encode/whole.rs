@@ -12,12 +12,11 @@ use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
 #[cfg(feature = "quality-hook")]
 use super::render::drawn_like;
-use super::report::ReportBuilder;
+use super::report::{ReportBuilder, Stage};
 use super::skipped::SkipReason;
 use super::state::EncodeState;
 use super::stored_error::stored_error;
 use super::texture::Texture;
-use super::trace::Tracer;
 use crate::bitstream::splats::PackedSplats;
 use crate::effort::EffortSettings;
 use crate::error::Result;
@@ -56,7 +55,7 @@ pub(super) fn prepare<T>(
     encode: impl FnOnce(WholePicture<'_>) -> Result<T>,
 ) -> Result<T> {
     let clock = Clock::new(options.time);
-    let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
+    let mut report = ReportBuilder::new(progress, options.inspector);
     let inpainted = hidden::inpainted(pixels, options.hidden, || report.stage_progress("survey", 0.0))?;
     if inpainted.is_some() {
         report.note(SkipReason::HiddenColors, 0, 0.0);
@@ -133,12 +132,13 @@ impl WholePicture<'_> {
         self.reference.insert(reference).score(&drawn)
     }
 
-    /// Adds the stored picture as the last point of the trace.
-    pub(super) fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
+    /// Shows the stored picture to the inspector.
+    pub(super) fn inspect_written(&mut self, splats: &PackedSplats) -> Result<()> {
         let problem = Problem { scene: stored_scene(splats), target: &self.planes };
         let project = || projected(&splats.quantizer(), &splats.gaussians, splats.height);
         let mut now = StaticSnapshot { problem: &problem, project: &project };
-        self.state.report.tracer.step("written", self.input.original, &self.planes, &mut now)?;
-        Ok(())
+        let mut stage =
+            Stage { name: "written", report: &mut self.state.report, input: self.input, planes: &self.planes };
+        stage.inspect(&mut now)
     }
 }

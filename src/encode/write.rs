@@ -17,12 +17,12 @@ pub(super) fn write(mut prepared: Prepared<'_>, mut outcome: Outcome) -> Result<
     }
     // Only what the written file leaves out counts, not what discarded tries of a search left out.
     if outcome.pruned_bytes > 0 {
-        prepared.state_mut().report.note(SkipReason::Primitives, outcome.pruned_bytes, 0.0);
+        prepared.state_mut().report.note(SkipReason::Gaussians, outcome.pruned_bytes, 0.0);
     }
     check_metadata(&outcome.splats.metadata)?;
     note_codebook(&mut prepared, &outcome)?;
     let error = prepared.error(&outcome.splats)?;
-    prepared.trace_end(&outcome.splats, error)?;
+    prepared.inspect_written(&outcome.splats)?;
     // The error before rounding was measured over the fitted channels. The factor adds the channels that were left out,
     // in the same proportion as in the file.
     let weight =
@@ -31,7 +31,7 @@ pub(super) fn write(mut prepared: Prepared<'_>, mut outcome: Outcome) -> Result<
     let samples = prepared.state().samples();
     let EncodeState { options, device, report, .. } = prepared.state_mut();
     let report = EncodeReport {
-        primitives: outcome.splats.gaussians.len(),
+        gaussians: outcome.splats.gaussians.len(),
         effort: options.effort,
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
@@ -40,7 +40,6 @@ pub(super) fn write(mut prepared: Prepared<'_>, mut outcome: Outcome) -> Result<
         stages: std::mem::take(&mut report.stages),
         skipped: std::mem::take(&mut report.skipped),
         chosen: device.chosen().clone(),
-        trace: report.tracer.take_points(),
     };
     Ok(Encoded { bytes: outcome.bytes, report })
 }

@@ -4,9 +4,11 @@ use crate::error::Result;
 use crate::fit::model::adam::Rates;
 use crate::fit::model::drawing::field::squared_error;
 use crate::fit::model::drawing::project::{self, Primitive, Projected};
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::state::State;
+use crate::pixels::Pixels;
 
 /// Takes the steps of a fit. [`State`] implements it on the CPU, `gpu::Fitter` on a GPU.
 ///
@@ -75,6 +77,38 @@ pub trait Snapshot {
     fn error(&mut self) -> Result<f64>;
     /// Returns all primitives, projected, and the scene that they belong to.
     fn drawing(&mut self) -> Result<(Scene, Vec<Projected>)>;
+}
+
+/// Looks at the states of an encode, for measurements.
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools bring inspectors"))]
+pub trait Inspect: std::fmt::Debug + std::panic::RefUnwindSafe + Sync {
+    /// Called before every step of a fit and every round of rounding, and for the stored picture. An error stops the
+    /// encode.
+    ///
+    /// # Errors
+    /// Returns an error of `now`.
+    fn inspect(&self, moment: &Moment<'_>, now: &mut dyn Snapshot) -> Result<()>;
+}
+
+/// A reference to an inspector. Inspectors are equal if they are the same value in memory.
+#[derive(Debug, Clone, Copy)]
+pub struct Inspector(pub &'static dyn Inspect);
+
+impl PartialEq for Inspector {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::addr_eq(self.0, other.0)
+    }
+}
+
+/// When and where an encode is inspected.
+pub struct Moment<'a> {
+    /// Name of the stage, as in [`Progress`](crate::Progress), or "written".
+    pub stage: &'static str,
+    /// Seconds since the start of the encode, excluding inspections.
+    pub seconds: f64,
+    /// The picture, and its planes without constant channels.
+    pub original: &'a Pixels,
+    pub target: &'a Planes,
 }
 
 /// The primitives of an engine, converted to the picture's full size.

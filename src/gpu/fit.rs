@@ -711,7 +711,7 @@ impl<'a> Work<'a> {
 
 /// Returns the uniforms that are the same in all steps.
 fn base(scene: &Scene, channels: Channels, bounds: &Bounds) -> Uniforms {
-    let view = View::of_size(scene.width, scene.height);
+    let view = View::new(scene.width, scene.height);
     Uniforms {
         min_log_scale: bounds.min_log_scale,
         max_log_scale: bounds.max_log_scale,

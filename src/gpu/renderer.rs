@@ -7,7 +7,7 @@ use super::lists::{Lists, MAX_BINDING, MAX_TILES, check_primitives};
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use crate::budget::Budget;
-use crate::decode::{SplatImage, check_view};
+use crate::decode::{SsplatImage, check_view};
 use crate::error::{Error, GpuError, Result};
 use crate::gaussian::{Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
@@ -109,7 +109,7 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`Renderer::new`], with the limits of `opened`.
-    pub fn of(device: &Device, opened: &SplatImage) -> Result<Self> {
+    pub fn of(device: &Device, opened: &SsplatImage) -> Result<Self> {
         let (layers, area, limits, budget) = opened.render_context();
         let splats = &opened.splats;
         let quantizer = splats.quantizer();
@@ -133,7 +133,7 @@ impl Renderer {
         budget: &Budget,
     ) -> Result<Self> {
         let count = length as u64;
-        Limits::check(Limit::Primitives, count, limits.primitives)?;
+        Limits::check(Limit::Gaussians, count, limits.gaussians)?;
         check_primitives(count)?;
         if !canvas.background.iter().all(|v| v.is_finite()) {
             return Err(Error::Parameter {

@@ -19,7 +19,7 @@ use super::colour::profile_or_equivalent;
 use crate::bitstream::cicp::Cicp;
 use crate::bitstream::header::{Header, MAGIC};
 use crate::bitstream::read_rest;
-use crate::decode::{Reader, SplatImage};
+use crate::decode::{Reader, SsplatImage};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
@@ -60,7 +60,7 @@ pub struct SsplatDecoder<R> {
     header: Header,
     limits: Limits,
     /// The whole file, once anything after the header has been needed.
-    opened: Option<SplatImage>,
+    opened: Option<SsplatImage>,
 }
 
 impl<R: Read> SsplatDecoder<R> {
@@ -85,7 +85,7 @@ impl<R: Read> SsplatDecoder<R> {
     }
 
     /// Returns the file, which is read on first use.
-    fn opened(&mut self) -> ImageResult<&mut SplatImage> {
+    fn opened(&mut self) -> ImageResult<&mut SsplatImage> {
         let opened = match self.opened.take() {
             Some(opened) => opened,
             None => self.read().map_err(decoding_error)?,
@@ -93,7 +93,7 @@ impl<R: Read> SsplatDecoder<R> {
         Ok(self.opened.insert(opened))
     }
 
-    fn read(&mut self) -> Result<SplatImage> {
+    fn read(&mut self) -> Result<SsplatImage> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
         Reader::with_header(self.header.clone(), rest.into(), &self.limits).read()
     }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::bitstream::cicp::Cicp;
 use crate::bitstream::splats::{Layout, Metadata, Steps};
+use crate::fit::engine::Inspector;
 use crate::fit::method::FitMethod;
 use crate::gaussian::Blend;
 use crate::options::fit::{HiddenColors, Rung, Tune};
@@ -16,7 +17,7 @@ pub enum Recipe {
     /// The method of this crate, as described in the README.
     #[default]
     Ssplat,
-    /// The method of this crate, starting with the primitives of another method.
+    /// The method of this crate, starting with the Gaussians of another method.
     StartOf(&'static dyn FitMethod),
     /// Another method.
     Other(&'static dyn FitMethod),
@@ -59,23 +60,11 @@ pub enum Backend {
 #[non_exhaustive]
 pub enum Needs {
     /// Skip constant channels (opaque alpha, grey stored as RGB). The decoded picture still has the channels of the
-    /// input. Also stop the fit and drop primitives where the error is already below that of rounding or of the target.
+    /// input. Also stop the fit and drop Gaussians where the error is already below that of rounding or of the target.
     #[default]
     Measured,
     /// All parts.
     Everything,
-}
-
-/// Whether an encode measures its own progress.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
-#[non_exhaustive]
-pub enum Trace {
-    /// Nothing is measured during the encode.
-    #[default]
-    Off,
-    /// PSNR, SSIM and MS-SSIM are measured at increasing intervals and reported. Reported times exclude the
-    /// measurements, but a time budget is not extended for them.
-    On,
 }
 
 /// Small version of the picture inside its file, which is drawn in a hundredth of the time (spec §3).
@@ -164,7 +153,7 @@ pub struct EncodeOptions {
     pub seed: u64,
     /// How the integers become bytes.
     pub layout: Layout,
-    /// How primitives blend; `None`: the default of the recipe.
+    /// How Gaussians blend; `None`: the default of the recipe.
     pub blend: Option<Blend>,
     /// The fitting recipe.
     pub recipe: Recipe,
@@ -176,9 +165,9 @@ pub struct EncodeOptions {
     /// Whether parts that the picture does not need are skipped.
     pub needs: Needs,
     /// Whether the file has a detail layer. Files with a requested size, ratio or quality have one in the coded layout.
-    /// Files with a requested number of primitives have none.
+    /// Files with a requested number of Gaussians have none.
     pub detail: Detail,
-    /// `1..=8`: progressive levels, large primitives first, so that a file cut after a level is a whole, coarser
+    /// `1..=8`: progressive levels, large Gaussians first, so that a file cut after a level is a whole, coarser
     /// picture. Each costs 1 to 2 % of the bytes. Only the coded layout has more than one.
     pub levels: u8,
     /// Whether the file carries a thumbnail; its bytes count as the file's.
@@ -192,8 +181,9 @@ pub struct EncodeOptions {
     pub tiles: Option<u32>,
     /// Treatment of colours under alpha 0.
     pub hidden: HiddenColors,
-    /// Whether to measure quality during the encode.
-    pub trace: Trace,
+    /// What looks at the states of a picture that is fitted as a whole. Reported times exclude it, but a time limit is not
+    /// extended for it.
+    pub inspector: Option<Inspector>,
     /// Last step of an ablation that is included.
     pub rung: Rung,
     /// Precision of given Gaussians; `None`: level 6, or the finest that the target allows.
@@ -253,7 +243,7 @@ impl Default for EncodeOptions {
             thumbnail: Thumbnail::Auto,
             tiles: None,
             hidden: HiddenColors::default(),
-            trace: Trace::Off,
+            inspector: None,
             rung: Rung::default(),
             precision: None,
             outside: Outside::default(),

@@ -13,7 +13,7 @@ pub enum Rung {
     Optimizer,
     /// Steps that sample some of the rows.
     Sampling,
-    /// Relocation of the least useful primitives.
+    /// Relocation of the least useful Gaussians.
     Relocation,
     /// A price of size.
     #[default]
@@ -26,9 +26,6 @@ pub enum Rung {
 pub enum Tune {
     /// Squared error.
     Psnr,
-    /// Structural similarity, at a cost of at most 0.5 dB of PSNR. For research; not part of the stable interface.
-    #[doc(hidden)]
-    Ssim,
     /// Perceived quality from some distance: errors are weighted by how busy the luma and its surroundings are at
     /// several sizes. It costs at most 0.5 dB of PSNR, on average 0.1 to 0.3 dB. The names of these measures are those
     /// that AV1's encoder uses.

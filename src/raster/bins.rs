@@ -252,7 +252,7 @@ mod tests {
 
     #[test]
     fn members_stand_in_the_order_of_the_picture() {
-        let full = View::of_size(2100, 1300);
+        let full = View::new(2100, 1300);
         for view in
             [full, full.crop(Rect::new(130, 700, 1500, 333)).unwrap(), full.crop(Rect::new(1000, 500, 20, 20)).unwrap()]
         {
@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn refusals_do_not_depend_on_how_threads_take_turns() {
-        let view = View::of_size(2100, 1300);
+        let view = View::new(2100, 1300);
         let splats = splats(60_000, &view);
         let pairs = bins(&splats, &view, &Limits::default()).unwrap().members.len() as u64;
         assert!(pairs > 2 * REPORT_INTERVAL, "{pairs}");

@@ -17,7 +17,7 @@
 //!     background: [0.5, 0.5, 0.5, 0.0],
 //!     list: vec![Gaussian { mean: [32.0, 24.0], scale: [9.0, 3.0], rotation: 0.5, color: [1.0, 0.2, 0.0, 0.0] }],
 //! };
-//! let whole = View::full(&picture);
+//! let whole = View::new(picture.width, picture.height);
 //! let region = whole.crop(Rect::new(16, 8, 32, 32))?;
 //! let pixels = Renderer::new(&picture, &region, &Limits::default())?.render(Depth::Eight)?;
 //! assert_eq!((pixels.width(), pixels.height()), (32, 32));

@@ -274,7 +274,7 @@ mod tests {
 
     #[test]
     fn what_is_left_out_early_touches_nothing() {
-        let full = View::of_size(500, 300);
+        let full = View::new(500, 300);
         let views = [
             full.crop(Rect::new(100, 60, 130, 90)).unwrap(),
             full.resized(1100, 400).unwrap().crop(Rect::new(300, 100, 200, 50)).unwrap(),
@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn what_is_no_number_is_refused_even_outside_the_view() {
         let far = Gaussian { mean: [1e6, 1e6], scale: [1.0; 2], rotation: 0.0, color: [f32::NAN; 4] };
-        let found = project((1, |_| far), &View::of_size(8, 8), [0.0; 2], &Budget::of(&Limits::default()));
+        let found = project((1, |_| far), &View::new(8, 8), [0.0; 2], &Budget::of(&Limits::default()));
         assert!(matches!(found, Err(Error::Parameter { parameter: Parameter::Gaussians, .. })));
     }
 }

@@ -90,11 +90,11 @@ const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIG
 
 impl Renderer {
     /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles. There is no detail layer;
-    /// [`SplatImage::renderer`](crate::SplatImage::renderer) renders the one of a file.
+    /// [`SsplatImage::renderer`](crate::SsplatImage::renderer) renders the one of a file.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; this is checked
-    /// before memory is allocated. [`Error::Parameter`] if a primitive is not finite or has a scale of zero, or if a
+    /// [`Error::LimitExceeded`] if Gaussians, (Gaussian, tile) pairs, work or memory exceed `limits`; this is checked
+    /// before memory is allocated. [`Error::Parameter`] if a Gaussian is not finite or has a scale of zero, or if a
     /// side of the view is 0 or over 2²⁰.
     pub fn new(picture: &Gaussians, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
@@ -124,7 +124,7 @@ impl Renderer {
         }
         let filter = view.filter();
         let fine = view.refined(filter.parts);
-        Limits::check(Limit::Primitives, count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
+        Limits::check(Limit::Gaussians, count as u64, limits.gaussians.min(u64::from(u32::MAX)))?;
         let splats = project((count, gaussian), &fine, filter.variance, budget)?;
         let bins = Bins::new(&splats, &fine, limits, budget)?;
         Ok(Renderer {
@@ -468,7 +468,7 @@ mod tests {
                 background: [0.5; 4],
                 list: gaussians.clone(),
             };
-            let full = View::full(&picture);
+            let full = View::new(picture.width, picture.height);
             for view in [full, full.resized(110, 35).unwrap(), full.resized(7, 5).unwrap()] {
                 let mut renderer = Renderer::new(&picture, &view, &Limits::default()).unwrap();
                 for depth in [Depth::Eight, Depth::Sixteen] {

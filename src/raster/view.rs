@@ -1,7 +1,7 @@
 //! Views: the area to render, and the size of the output.
 
 use crate::error::{Error, Result};
-use crate::gaussian::{CUTOFF, Gaussians};
+use crate::gaussian::CUTOFF;
 use crate::options::Layers;
 use crate::parameter::Parameter;
 use crate::rect::Rect;
@@ -42,15 +42,9 @@ pub struct View {
 }
 
 impl View {
-    /// Returns the view of the whole picture at its own size.
-    #[must_use]
-    pub fn full(picture: &Gaussians) -> Self {
-        View::of_size(picture.width, picture.height)
-    }
-
     /// Returns the view of a whole picture of `width × height` pixels at its own size.
     #[must_use]
-    pub fn of_size(width: u32, height: u32) -> Self {
+    pub fn new(width: u32, height: u32) -> Self {
         View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height, layers: Layers::Both }
     }
 
@@ -207,9 +201,9 @@ mod tests {
             ([1 << 20, 1], [256, 256], [256, 1]),
             ([300, 200], [100, 10], [15, 10]),
         ] {
-            let found = View::of_size(sides[0], sides[1]).fitted(within).unwrap();
+            let found = View::new(sides[0], sides[1]).fitted(within).unwrap();
             assert_eq!([found.width(), found.height()], size, "{sides:?} in {within:?}");
         }
-        assert!(View::of_size(3, 3).fitted([3, 0]).is_err());
+        assert!(View::new(3, 3).fitted([3, 0]).is_err());
     }
 }

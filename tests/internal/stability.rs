@@ -299,7 +299,7 @@ fn every_iteration_of_every_extreme_fit_is_finite_and_the_best_state_is_kept() {
         // The large cases are fitted completely elsewhere. Here, a few iterations execute the same code.
         let large = u64::from(case.pixels.width()) * u64::from(case.pixels.height()) > 1 << 20;
         let count = match case.target {
-            EncodeTarget::Primitives(n) => n as usize,
+            EncodeTarget::Gaussians(n) => n as usize,
             _ if large => 8,
             _ => 40,
         };

@@ -123,7 +123,7 @@ fn limits_are_checked_before_memory_is_allocated() {
     let sets: [(&str, Set); 4] = [
         ("width", |l| l.width = 10),
         ("height", |l| l.height = 10),
-        ("primitives", |l| l.primitives = 49),
+        ("gaussians", |l| l.gaussians = 49),
         ("alloc", |l| l.alloc = 100),
     ];
     for (name, set) in sets {
@@ -165,7 +165,7 @@ fn a_damaged_file_cannot_claim_more_primitives_than_its_bytes_can_code() {
     crate::seal::seal(&mut bytes);
     let refused = read_partial(&bytes, &Limits::default());
     assert!(
-        matches!(refused, Err(Error::Format(FormatError::BadValue { field: "primitive count", value: 100_000 }))),
+        matches!(refused, Err(Error::Format(FormatError::BadValue { field: "number of Gaussians", value: 100_000 }))),
         "{refused:?}"
     );
 }
@@ -188,7 +188,7 @@ fn a_part_of_a_large_file_is_rendered_from_some_of_its_groups() {
     let draw = |splats: &PackedSplats, region: [u32; 4]| {
         let picture = splats.to_gaussians();
         let [x, y, width, height] = region;
-        let view = View::full(&picture).crop(Rect::new(x, y, width, height)).unwrap();
+        let view = View::new(picture.width, picture.height).crop(Rect::new(x, y, width, height)).unwrap();
         Renderer::new(&picture, &view, &limits).unwrap().render(splats.depth).unwrap()
     };
     let mut random = Random(5);
@@ -244,7 +244,7 @@ fn a_file_cut_after_a_level_shows_the_coarser_picture() {
     for end in 0..bytes.len() {
         assert!(read(&bytes[..end], &Limits::default()).is_err());
         let Ok((part, missing)) = read_partial(&bytes[..end], &Limits::default()) else { continue };
-        assert_eq!(part.gaussians.len() + missing.primitives as usize, 1000);
+        assert_eq!(part.gaussians.len() + missing.gaussians as usize, 1000);
         assert_eq!(whole.gaussians[..part.gaussians.len()], part.gaussians);
         assert_eq!(missing.of_groups, 3);
         seen.push(part.gaussians.len());
@@ -262,5 +262,5 @@ fn damage_to_one_group_loses_that_group_only() {
     bytes[at] ^= 16;
     assert!(read(&bytes[..], &Limits::default()).is_err());
     let (part, missing) = read_partial(&bytes, &Limits::default()).unwrap();
-    assert_eq!((part.gaussians.len(), part.levels, missing.primitives, missing.groups), (600, vec![300, 300], 300, 1));
+    assert_eq!((part.gaussians.len(), part.levels, missing.gaussians, missing.groups), (600, vec![300, 300], 300, 1));
 }

@@ -1,9 +1,9 @@
 //! Files that end too early: the error states how many bytes there are, how many there should be, and whether a part of
 //! the picture can be decoded.
 
-use ssplat::{Damage, Error, FormatError, Limits, Reader, SplatImage};
+use ssplat::{Damage, Error, FormatError, Limits, Reader, SsplatImage};
 
-fn read(bytes: &[u8], damage: Damage) -> ssplat::Result<SplatImage> {
+fn read(bytes: &[u8], damage: Damage) -> ssplat::Result<SsplatImage> {
     Reader::new(bytes, &Limits::default())?.damage(damage).read()
 }
 

@@ -13,7 +13,7 @@ fn picture() -> Pixels {
 
 fn options() -> EncodeOptions {
     let mut options = EncodeOptions::default();
-    options.target = Target::Primitives(120);
+    options.target = Target::Gaussians(120);
     options.effort = 1;
     options
 }
@@ -74,7 +74,7 @@ fn a_reduced_region_of_a_file_in_groups_misses_nothing() {
         (options.region, options.size) = (Some(region.into()), Some(size));
         let [x, y, width, height] = region;
         let view =
-            View::of_size(2048, 1536).crop(Rect::new(x, y, width, height)).unwrap().resized(size[0], size[1]).unwrap();
+            View::new(2048, 1536).crop(Rect::new(x, y, width, height)).unwrap().resized(size[0], size[1]).unwrap();
         assert_eq!(view.area(), area.into());
         let whole =
             Renderer::new(&splats.to_gaussians(), &view, &options.limits).unwrap().render(splats.depth).unwrap();
@@ -104,7 +104,7 @@ fn a_progressive_file_cut_after_a_level_is_a_coarser_picture() {
     let mut accept = DecodeOptions::default();
     accept.damage = Damage::Accept;
     let whole = decode(&bytes, &accept).unwrap();
-    assert_eq!((whole.missing.groups, whole.missing.primitives), (0, 0));
+    assert_eq!((whole.missing.groups, whole.missing.gaussians), (0, 0));
     // Every truncated file gives all groups that are complete; more bytes never give fewer groups.
     let mut missing = u32::MAX;
     let mut seen = Vec::new();

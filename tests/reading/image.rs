@@ -54,7 +54,7 @@ fn file(channels: Channels, depth: Depth) -> Vec<u8> {
 fn expected(channels: Channels, depth: Depth) -> Pixels {
     let limits = Limits::default();
     let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_gaussians();
-    Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
+    Renderer::new(&picture, &View::new(picture.width, picture.height), &limits).unwrap().render(depth).unwrap()
 }
 
 /// A PNG that states sides of 2²⁰ pixels but has no samples.
@@ -368,7 +368,7 @@ fn saved_pictures_open_again_with_their_metadata() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("saved.ssplat");
     let report = ssplat::unstable::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
-    assert!(report.primitives > 0);
+    assert!(report.gaussians > 0);
     assert_eq!(image::open(&path).unwrap().color(), ColorType::Rgb8);
 
     let mut bytes = Vec::new();
@@ -384,7 +384,7 @@ fn saved_pictures_open_again_with_their_metadata() {
 /// Low effort, with room for any metadata.
 fn roomy() -> EncodeOptions {
     let mut options = quick();
-    options.target = Target::Primitives(20);
+    options.target = Target::Gaussians(20);
     options
 }
 

@@ -50,7 +50,7 @@ fn sound() -> Vec<(String, Vec<u8>)> {
 /// Limits that every vector satisfies.
 fn tight() -> Limits {
     let mut limits = Limits::default();
-    (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);
+    (limits.width, limits.height, limits.gaussians) = (1 << 12, 1 << 12, 1 << 16);
     (limits.alloc, limits.tile_pairs) = (48 << 20, 1 << 20);
     limits
 }
@@ -82,7 +82,7 @@ fn outcome(bytes: &[u8]) -> &'static str {
     }
     // Rendering the whole of a large picture takes long, so only a corner is rendered.
     let (width, height) = (splats.width, splats.height);
-    let view = View::of_size(width, height).crop(Rect::new(0, 0, width.min(48), height.min(48))).unwrap();
+    let view = View::new(width, height).crop(Rect::new(0, 0, width.min(48), height.min(48))).unwrap();
     match splats.renderer(&view, &limits).and_then(|r| r.render(splats.depth)) {
         Ok(_) if !splats.metadata.damaged.is_empty() => "picture without a damaged section",
         Ok(_) => "picture",
@@ -161,7 +161,7 @@ fn partial_reading_shows_the_intact_groups_and_counts_the_rest() {
             seen.add(match read_partial(&hurt, &tight()) {
                 Ok((part, missing)) => {
                     let lost = whole.gaussians.len() - part.gaussians.len();
-                    assert_eq!(missing.primitives as usize, lost, "{name} with bit {bit} flipped");
+                    assert_eq!(missing.gaussians as usize, lost, "{name} with bit {bit} flipped");
                     // The order is kept, so one pass over the whole finds them all.
                     let mut rest = whole.gaussians.iter();
                     assert!(part.gaussians.iter().all(|p| rest.any(|q| q == p)), "{name} with bit {bit} flipped");

@@ -28,7 +28,7 @@ fn worst(picture: &Gaussians, view: &View, depth: Depth) -> u16 {
 /// of its pixels covers, dB.
 fn psnr_to_averages(picture: &Gaussians, view: &View) -> f64 {
     let drawn = render(picture, view, Depth::Sixteen);
-    let full = View::full(picture);
+    let full = View::new(picture.width, picture.height);
     let pixels = render(picture, &full, Depth::Sixteen);
     let (count, [across, down]) = (picture.channels.count(), view.step());
     // The fraction of each pixel of the full view that lies within output pixel `i`.
@@ -64,9 +64,9 @@ fn fitted_scenes_are_within_one_code_value_for_all_channels_and_blends() {
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         for blend in [Blend::Normalized, Blend::Sum] {
             let p = scene(150, 131, 300, channels, blend, 1);
-            assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1, "{channels:?} {blend:?}");
+            assert!(worst(&p, &View::new(p.width, p.height), Depth::Eight) <= 1, "{channels:?} {blend:?}");
             // 16 bits resolve f32 and the recurrence's drift: 1.2e-4 of a weight is 8 code values.
-            assert!(worst(&p, &View::full(&p), Depth::Sixteen) <= 8, "{channels:?} {blend:?}");
+            assert!(worst(&p, &View::new(p.width, p.height), Depth::Sixteen) <= 8, "{channels:?} {blend:?}");
         }
     }
 }
@@ -92,7 +92,7 @@ fn single_gaussians_of_every_shape_are_within_one_code_value() {
             for &minor in &scales[..=i] {
                 for &angle in &angles {
                     let p = picture(143, 70, Channels::Rgb, blend, vec![one([66.37, 31.81], [major, minor], angle)]);
-                    let found = worst(&p, &View::full(&p), Depth::Eight);
+                    let found = worst(&p, &View::new(p.width, p.height), Depth::Eight);
                     assert!(found <= 1, "{found} for {blend:?} {major} {minor} {angle}");
                 }
             }
@@ -111,7 +111,7 @@ fn narrow_gaussians_are_exact_at_any_position_in_a_strip() {
                 let mean = [12.0 + 0.27 * place as f32, 9.0 + 0.31 * (place % 5) as f32];
                 for blend in [Blend::Normalized, Blend::Sum] {
                     let p = picture(32, 22, Channels::Grey, blend, vec![one(mean, scale, angle)]);
-                    let found = worst(&p, &View::full(&p), Depth::Sixteen);
+                    let found = worst(&p, &View::new(p.width, p.height), Depth::Sixteen);
                     assert!(found <= 8, "{found} for {blend:?} {scale:?} {angle} at {mean:?}");
                 }
             }
@@ -135,7 +135,8 @@ fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
                 continue;
             }
             let p = picture(side, side, Channels::Rgb, Blend::Normalized, vec![one(mean, [major, minor], angle)]);
-            let view = View::full(&p).crop(Rect::new(at[0] as u32 - 20, at[1] as u32 - 20, 40, 40)).unwrap();
+            let view =
+                View::new(p.width, p.height).crop(Rect::new(at[0] as u32 - 20, at[1] as u32 - 20, 40, 40)).unwrap();
             let found = worst(&p, &view, Depth::Eight);
             assert!(found <= 1, "{found} for {major} {minor} {angle} at {mean:?}");
         }
@@ -150,7 +151,7 @@ fn sparse_pictures_with_small_weight_sums_are_within_one_code_value() {
         for g in &mut p.list {
             g.color = [-4.0, 4.0, 2.0, 0.0];
         }
-        assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1, "seed {seed}");
+        assert!(worst(&p, &View::new(p.width, p.height), Depth::Eight) <= 1, "seed {seed}");
     }
 }
 
@@ -195,7 +196,7 @@ fn the_largest_valid_colours_are_within_tolerance_at_16_bits() {
         for (k, blend) in [Blend::Normalized, Blend::Sum].into_iter().enumerate() {
             let channels = [Channels::Rgb, Channels::Grey, Channels::Rgba, Channels::GreyAlpha][seed as usize % 4];
             let p = legal(seed, 2 + seed as usize % 60, blend, channels);
-            let view = View::full(&p);
+            let view = View::new(p.width, p.height);
             let drawn = render(&p, &view, Depth::Sixteen);
             let want = reference::filtered(&p, &view);
             // The terms of the sum blend without their signs.
@@ -218,11 +219,11 @@ fn the_largest_valid_colours_are_within_tolerance_at_16_bits() {
 fn enlarged_views_sample_the_continuous_picture() {
     let p = scene(60, 50, 80, Channels::Rgb, Blend::Normalized, 3);
     for (w, h) in [(60, 50), (61, 50), (175, 333), (600, 500)] {
-        let view = View::full(&p).resized(w, h).unwrap();
+        let view = View::new(p.width, p.height).resized(w, h).unwrap();
         assert!(worst(&p, &view, Depth::Eight) <= 1, "{w}×{h}");
         assert_eq!(reference::filtered(&p, &view), clamped(reference::sample(&p, &view)), "{w}×{h}");
     }
-    let part = View::full(&p).crop(Rect::new(20, 10, 9, 7)).unwrap().resized(90, 140).unwrap();
+    let part = View::new(p.width, p.height).crop(Rect::new(20, 10, 9, 7)).unwrap().resized(90, 140).unwrap();
     assert!(worst(&p, &part, Depth::Eight) <= 1);
     assert_eq!(reference::filtered(&p, &part), clamped(reference::sample(&p, &part)));
 }
@@ -242,7 +243,7 @@ fn reduced_views_are_within_one_code_value_of_their_definition() {
             p.list.push(one([70.0, 60.0], [400.0, 0.25], 0.7));
             p.list.push(one([20.0, 90.0], [0.25, 0.25], 0.0));
             for (w, h) in sizes {
-                let view = View::full(&p).resized(w, h).unwrap();
+                let view = View::new(p.width, p.height).resized(w, h).unwrap();
                 let want = reference::filtered(&p, &view);
                 for (depth, most) in [(Depth::Eight, 1), (Depth::Sixteen, 8)] {
                     let drawn = render(&p, &view, depth);
@@ -271,7 +272,7 @@ fn single_gaussians_of_every_shape_are_within_one_code_value_when_reduced() {
                 for angle in [0.0f32, 1e-4, 0.7, 1.57, std::f32::consts::FRAC_PI_2, 2.4] {
                     let p = picture(400, 210, Channels::Rgb, blend, vec![one([186.37, 81.81], [major, minor], angle)]);
                     for (w, h) in [(280, 26), (40, 20), (6, 3)] {
-                        let view = View::full(&p).resized(w, h).unwrap();
+                        let view = View::new(p.width, p.height).resized(w, h).unwrap();
                         let found = worst(&p, &view, Depth::Eight);
                         assert!(found <= 1, "{found} for {blend:?} {major} {minor} {angle} at {w}×{h}");
                     }
@@ -289,7 +290,7 @@ fn reduced_views_are_close_to_the_averages_of_the_full_view() {
         for g in &mut p.list {
             g.color = g.color.map(|c| if blend == Blend::Sum { 0.2 * c } else { c });
         }
-        let full = View::full(&p);
+        let full = View::new(p.width, p.height);
         for (w, h, least) in [(384, 256, 70.0), (192, 128, 70.0), (96, 64, 70.0), (256, 171, 40.0), (48, 32, 40.0)] {
             let found = psnr_to_averages(&p, &full.resized(w, h).unwrap());
             assert!(found >= least, "{found} dB for {blend:?} at {w}×{h}");
@@ -318,7 +319,7 @@ fn hidden_colours_leave_no_fringe_when_reduced() {
     for channels in [Channels::Rgba, Channels::GreyAlpha] {
         let (p, count) = (logo(channels), channels.count());
         for (w, h) in [(96, 96), (48, 48), (19, 31), (12, 12), (5, 6)] {
-            let drawn = render(&p, &View::full(&p).resized(w, h).unwrap(), Depth::Eight);
+            let drawn = render(&p, &View::new(p.width, p.height).resized(w, h).unwrap(), Depth::Eight);
             let mut partly = 0;
             for pixel in drawn.chunks_exact(count) {
                 let alpha = f64::from(pixel[count - 1]) / 255.0;
@@ -356,7 +357,7 @@ fn lines_of_one_pixel_do_not_alias_when_reduced() {
     let most =
         [(162, 0.03), (158, 0.03), (107, 0.03), (82, 0.05), (80, 0.01), (78, 0.05), (70, 0.11), (53, 0.03), (39, 0.25)];
     for (width, most) in most {
-        let view = View::full(&p).resized(width, 1).unwrap();
+        let view = View::new(p.width, p.height).resized(width, 1).unwrap();
         let drawn: Vec<f64> = render(&p, &view, Depth::Eight).into_iter().map(|v| f64::from(v) / 255.0).collect();
         let found = range(&drawn);
         assert!(found <= most, "{found} at {width}");
@@ -378,7 +379,7 @@ fn far_reductions_are_cheap() {
     let mut limits = Limits::default();
     limits.tile_pairs = 2000;
     for (w, h) in [(1, 1), (16, 16)] {
-        let view = View::full(&p).resized(w, h).unwrap();
+        let view = View::new(p.width, p.height).resized(w, h).unwrap();
         assert!(Renderer::new(&p, &view, &limits).is_ok(), "{w}×{h}");
         assert!(worst(&p, &view, Depth::Eight) <= 1, "{w}×{h}");
     }
@@ -389,7 +390,7 @@ fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
     // 80 × 80 output pixels of 8 × 8 samples each: 5 × 5 tiles.
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 1000];
     let p = picture(640, 640, Channels::Rgb, Blend::Normalized, giants);
-    let view = View::full(&p).resized(80, 80).unwrap();
+    let view = View::new(p.width, p.height).resized(80, 80).unwrap();
     let mut limits = Limits::default();
     limits.tile_pairs = 24_999;
     let error = Renderer::new(&p, &view, &limits).unwrap_err();
@@ -403,7 +404,7 @@ fn every_division_into_parts_gives_the_same_bits() {
     let mut p = scene(401, 277, 900, Channels::Rgb, Blend::Normalized, 5);
     p.list.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
     p.list.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
-    let full = View::full(&p);
+    let full = View::new(p.width, p.height);
     let sizes = [(401, 277), (1000, 300), (300, 200), (150, 90), (40, 200), (31, 23), (13, 9)];
     for view in sizes.map(|(w, h)| full.resized(w, h).unwrap()) {
         let whole = render(&p, &view, Depth::Sixteen);
@@ -425,7 +426,7 @@ fn every_division_into_parts_gives_the_same_bits() {
 #[test]
 fn bands_together_equal_the_whole() {
     let p = scene(300, 333, 500, Channels::Rgba, Blend::Sum, 6);
-    let full = View::full(&p);
+    let full = View::new(p.width, p.height);
     let reduced = full.resized(100, 60).unwrap();
     for view in [
         full,
@@ -451,7 +452,7 @@ fn bands_together_equal_the_whole() {
 #[test]
 fn thread_counts_do_not_change_bits() {
     let p = scene(500, 400, 1500, Channels::Rgb, Blend::Normalized, 8);
-    let views = [View::full(&p), View::full(&p).resized(90, 70).unwrap()];
+    let views = [View::new(p.width, p.height), View::new(p.width, p.height).resized(90, 70).unwrap()];
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| views.map(|view| render(&p, &view, Depth::Sixteen)))
@@ -468,7 +469,7 @@ fn pictures_of_zero_one_and_two_primitives_render() {
         for count in 0..3 {
             let all = [one([10.0, 9.0], [4.0, 2.0], 0.3), one([1.0, 20.0], [0.25, 0.25], 0.0)];
             let p = picture(33, 21, Channels::Rgb, blend, all[..count].to_vec());
-            assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1);
+            assert!(worst(&p, &View::new(p.width, p.height), Depth::Eight) <= 1);
         }
     }
 }
@@ -476,7 +477,7 @@ fn pictures_of_zero_one_and_two_primitives_render() {
 #[test]
 fn primitives_outside_the_view_do_not_change_it() {
     let mut p = scene(200, 100, 200, Channels::Rgb, Blend::Normalized, 9);
-    let view = View::full(&p).crop(Rect::new(64, 32, 70, 40)).unwrap();
+    let view = View::new(p.width, p.height).crop(Rect::new(64, 32, 70, 40)).unwrap();
     let before = render(&p, &view, Depth::Sixteen);
     p.list.push(one([1000.0, 1000.0], [100.0, 50.0], 0.3));
     p.list.insert(0, one([-1e6, 40.0], [1000.0, 1.0], 0.0));
@@ -500,7 +501,7 @@ fn giants_and_needles_over_many_tiles_are_within_one_code_value() {
             })
             .collect();
         let p = picture(420, 200, Channels::Rgb, Blend::Normalized, gaussians);
-        assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1, "round {round}");
+        assert!(worst(&p, &View::new(p.width, p.height), Depth::Eight) <= 1, "round {round}");
     }
 }
 
@@ -508,7 +509,7 @@ fn giants_and_needles_over_many_tiles_are_within_one_code_value() {
 #[test]
 fn the_largest_finite_scale_covers_the_picture() {
     let scene = picture(300, 200, Channels::Rgb, Blend::Sum, vec![one([150.0, 100.0], [f32::MAX; 2], 0.3)]);
-    assert!(worst(&scene, &View::full(&scene), Depth::Eight) <= 1);
+    assert!(worst(&scene, &View::new(scene.width, scene.height), Depth::Eight) <= 1);
 }
 
 #[test]
@@ -518,10 +519,10 @@ fn tile_pairs_are_checked_before_the_work() {
     let mut limits = Limits::default();
     limits.tile_pairs = 60_000;
     // 8 × 8 tiles for each of 1000.
-    let error = Renderer::new(&p, &View::full(&p), &limits).unwrap_err();
+    let error = Renderer::new(&p, &View::new(p.width, p.height), &limits).unwrap_err();
     assert!(matches!(error, Error::LimitExceeded { limit: Limit::TilePairs, requested: 60_001.., allowed: 60_000 }));
     limits.tile_pairs = 64_000;
-    assert!(Renderer::new(&p, &View::full(&p), &limits).is_ok());
+    assert!(Renderer::new(&p, &View::new(p.width, p.height), &limits).is_ok());
 }
 
 #[test]
@@ -529,7 +530,7 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
     // 16384 primitives on each of 64 tiles.
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 16384];
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
-    let error = Renderer::new(&p, &View::full(&p), &Limits::default()).unwrap_err();
+    let error = Renderer::new(&p, &View::new(p.width, p.height), &Limits::default()).unwrap_err();
     assert!(matches!(error, Error::LimitExceeded { limit: Limit::Work, .. }));
 }
 
@@ -540,7 +541,7 @@ fn the_work_of_narrow_gaussians_counts_their_exponentials() {
         let p = picture(400, 1000, Channels::Rgb, Blend::Normalized, vec![one([200.0, 500.0], scale, FRAC_PI_2)]);
         let mut limits = Limits::default();
         limits.work = 0;
-        match Renderer::new(&p, &View::full(&p), &limits) {
+        match Renderer::new(&p, &View::new(p.width, p.height), &limits) {
             Err(Error::LimitExceeded { limit: Limit::Work, requested, .. }) => requested,
             other => panic!("{other:?}"),
         }
@@ -567,7 +568,7 @@ fn two_million_primitives_on_a_16k_picture_are_within_the_limits() {
             })
             .collect();
         let p = picture(width, height, Channels::Rgba, Blend::Normalized, gaussians);
-        let renderer = Renderer::new(&p, &View::full(&p), &Limits::default());
+        let renderer = Renderer::new(&p, &View::new(p.width, p.height), &Limits::default());
         assert!(renderer.is_ok(), "{renderer:?}");
         if usize::BITS == 64 {
             // The rest of the limit holds the pixels, the primitives as integers and floats, and the memory for
@@ -585,12 +586,12 @@ fn memory_is_checked_before_it_is_allocated() {
     let mut limits = Limits::default();
     limits.alloc = 4096;
     assert!(matches!(
-        Renderer::new(&p, &View::full(&p), &limits),
+        Renderer::new(&p, &View::new(p.width, p.height), &limits),
         Err(Error::LimitExceeded { limit: Limit::Alloc, .. })
     ));
     limits.alloc = 64 * 64 * 3 - 1;
     let empty = picture(64, 64, Channels::Rgb, Blend::Normalized, Vec::new());
-    let renderer = Renderer::new(&empty, &View::full(&empty), &limits).unwrap();
+    let renderer = Renderer::new(&empty, &View::new(empty.width, empty.height), &limits).unwrap();
     assert!(matches!(renderer.render(Depth::Eight), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
 }
 
@@ -606,14 +607,17 @@ fn non_finite_floats_are_parameter_errors() {
             Gaussian { scale: [1.0, 0.0], ..sound },
         ] {
             let p = picture(8, 8, Channels::Rgb, Blend::Normalized, vec![g]);
-            assert!(matches!(Renderer::new(&p, &View::full(&p), &Limits::default()), Err(Error::Parameter { .. })));
+            assert!(matches!(
+                Renderer::new(&p, &View::new(p.width, p.height), &Limits::default()),
+                Err(Error::Parameter { .. })
+            ));
         }
     }
 }
 
 #[test]
 fn views_outside_their_parent_are_parameter_errors() {
-    let view = View::of_size(10, 10);
+    let view = View::new(10, 10);
     assert!(view.crop(Rect::new(0, 0, 0, 1)).is_err());
     assert!(view.crop(Rect::new(5, 0, 6, 1)).is_err());
     assert!(view.crop(Rect::new(u32::MAX, 0, 2, 1)).is_err());

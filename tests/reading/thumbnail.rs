@@ -104,7 +104,7 @@ fn small_files_and_small_pictures_have_no_thumbnail_by_default() {
 #[test]
 fn a_thumbnail_can_be_requested_with_any_target() {
     let mut options = options(0, Thumbnail::Bytes(200));
-    options.target = Target::Primitives(50);
+    options.target = Target::Gaussians(50);
     let pixels = picture(300, 200, Channels::Rgb);
     let bytes = encode(&pixels, &options).unwrap().bytes;
     let carried = read(&bytes[..], &Limits::default()).unwrap().metadata.thumbnail.unwrap();

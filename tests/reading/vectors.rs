@@ -45,7 +45,7 @@ fn root() -> PathBuf {
 
 /// Returns the view of the whole picture at its own size or another.
 fn view(splats: &PackedSplats, size: Option<[u32; 2]>) -> View {
-    let full = View::of_size(splats.width, splats.height);
+    let full = View::new(splats.width, splats.height);
     size.map_or(full, |[width, height]| full.resized(width, height).unwrap())
 }
 
@@ -545,12 +545,13 @@ fn invalid() -> Vec<Vector> {
         ("coded", scene(Coded), &["end of the coded stream"]),
         ("coded", to_bytes(&extreme(Coded, coarse, 30)).unwrap(), &["x", "y", "colour"]),
         ("coded", to_bytes(&extreme(Coded, sparse, 30)).unwrap(), &["square without a scale"]),
-        ("coded", to_bytes(&equal()).unwrap(), &["order of primitives"]),
+        ("coded", to_bytes(&equal()).unwrap(), &["order of Gaussians"]),
         ("coded", codebook(Coded), &["codebook order", "codebook index"]),
         ("groups", groups, &["level count", "level", "largest scale of a group", "end of the coded stream"]),
     ] {
         for reason in reasons {
-            let name = format!("{name}-{}", reason.replace(' ', "-"));
+            // The names of vectors are permanent.
+            let name = format!("{name}-{}", reason.replace("Gaussians", "primitives").replace(' ', "-"));
             add(&name, &format!("refused for: {reason}"), refused_for(&base, reason));
         }
     }

@@ -23,7 +23,7 @@ pub fn fits() -> Vec<Fit> {
     const SIDE: u32 = 48;
     let grey = |f: &dyn Fn(u32, u32) -> f64| picture(SIDE, SIDE, Grey, |x, y, _| f(x, y));
     let mut list: Vec<(String, Pixels, Target)> = Vec::new();
-    let mut add = |name: &str, pixels| list.push((name.into(), pixels, Target::Primitives(60)));
+    let mut add = |name: &str, pixels| list.push((name.into(), pixels, Target::Gaussians(60)));
     add("constant", picture(SIDE, SIDE, Rgb, |_, _, k| [0.3, 0.6, 0.1][k]));
     add("black", grey(&|_, _| 0.0));
     add("white", grey(&|_, _| 1.0));
@@ -69,10 +69,10 @@ pub fn fits() -> Vec<Fit> {
     for (side, ratio, name) in [(500, 1e4, "1e4"), (1300, 1e5, "1e5"), (3400, 1e6, "1e6"), (1300, 1e6, "1e6")] {
         list.push((format!("ratio {name}, {side} × {side}"), wide(side), Target::Ratio(ratio)));
     }
-    list.push(("N = 0".into(), wave(), Target::Primitives(0)));
-    list.push(("N = 1".into(), wave(), Target::Primitives(1)));
-    list.push(("N = 2".into(), wave(), Target::Primitives(2)));
-    list.push(("N beyond the pixels".into(), grey(&|x, y| noise(x, y, 5)), Target::Primitives(4000)));
+    list.push(("N = 0".into(), wave(), Target::Gaussians(0)));
+    list.push(("N = 1".into(), wave(), Target::Gaussians(1)));
+    list.push(("N = 2".into(), wave(), Target::Gaussians(2)));
+    list.push(("N beyond the pixels".into(), grey(&|x, y| noise(x, y, 5)), Target::Gaussians(4000)));
     list.into_iter().map(|(name, pixels, target)| Fit { name, pixels, target }).collect()
 }
 

@@ -232,7 +232,7 @@ fn a_page_that_fits_is_stored_without_loss_whatever_is_requested() {
     let less = encode(Encoder::new().bytes(size - 1));
     assert!(less.bytes.len() < size as usize && less.report.psnr.is_finite());
     // Without the layer, as requested.
-    assert!(encode(Encoder::new().bytes(size).detail(Detail::Off)).report.primitives > 0);
+    assert!(encode(Encoder::new().bytes(size).detail(Detail::Off)).report.gaussians > 0);
 }
 
 #[test]
@@ -242,7 +242,7 @@ fn colours_of_a_page_that_does_not_fit_are_near_and_its_ground_is_exact() {
     for share in [0.8, 0.6] {
         let most = (share * size as f64) as u64;
         let encoded = Encoder::new().bytes(most).effort(1).encode(&pixels).unwrap();
-        assert!(encoded.bytes.len() as u64 <= most && encoded.report.primitives == 0);
+        assert!(encoded.bytes.len() as u64 <= most && encoded.report.gaussians == 0);
         assert!(encoded.report.skipped.iter().any(|l| l.what == SkipReason::NearColors));
         let decoded = Decoder::new().decode(&encoded.bytes).unwrap().pixels;
         for (own, other) in bytes_of(&pixels).iter().zip(bytes_of(&decoded)) {
@@ -257,7 +257,7 @@ fn colours_of_a_page_that_does_not_fit_are_near_and_its_ground_is_exact() {
 fn a_photograph_in_a_page_is_left_to_gaussians_and_the_detail_layer() {
     let pixels = page([320, 400], true);
     let encoded = Encoder::new().ratio(40.0).effort(2).encode(&pixels).unwrap();
-    assert!(encoded.bytes.len() <= 320 * 400 * 3 / 40 && encoded.report.primitives > 0);
+    assert!(encoded.bytes.len() <= 320 * 400 * 3 / 40 && encoded.report.gaussians > 0);
     let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
     let covered = splats.exact.as_ref().expect("an exact layer").covered([320, 400]);
     // Half of the page, give or take a row of cells.
@@ -295,7 +295,7 @@ fn a_photograph_in_a_page_with_alpha_is_left_to_gaussians_and_the_detail_layer()
     let size = [320, 400];
     let pixels = cut_out(size);
     let encoded = Encoder::new().ratio(60.0).effort(1).encode(&pixels).unwrap();
-    assert!(encoded.bytes.len() <= 320 * 400 * 4 / 60 && encoded.report.primitives > 0);
+    assert!(encoded.bytes.len() <= 320 * 400 * 4 / 60 && encoded.report.gaussians > 0);
     let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
     let covered = splats.exact.as_ref().expect("an exact layer").covered(size);
     // The photograph is 272 pixels wide and 176 high.
@@ -381,7 +381,7 @@ fn letters_on_paper_with_noise_stay_sharp_in_small_files() {
         let encode = |encoder: Encoder| encoder.ratio(60.0).effort(1).encode(&pixels).unwrap().report;
         let (own, without) = (encode(Encoder::new()), encode(Encoder::new().detail(Detail::GaussianShare(0.4))));
         let what = format!("{channels:?}, {bits} bits: {} dB, without the layer {}", own.psnr, without.psnr);
-        assert!(own.primitives == 0 && own.psnr > without.psnr + 5.0, "{what}");
+        assert!(own.gaussians == 0 && own.psnr > without.psnr + 5.0, "{what}");
         assert!(own.skipped.iter().any(|l| l.what == SkipReason::NearColors), "{what}");
     }
     // A quality that needs the noise has it.

@@ -21,7 +21,10 @@ fn options(effort: u8, target: Target) -> EncodeOptions {
 fn decoded(bytes: &[u8]) -> Pixels {
     let splats = bitstream::read(bytes, &Limits::default()).unwrap();
     let picture = splats.to_gaussians();
-    Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
+    Renderer::new(&picture, &View::new(picture.width, picture.height), &Limits::default())
+        .unwrap()
+        .render(splats.depth)
+        .unwrap()
 }
 
 fn wave(channels: Channels, value: impl Fn(u32, u32, usize) -> u8) -> Pixels {
@@ -60,21 +63,21 @@ fn every_constant_grey_is_decoded_exactly() {
         let pixels = wave(Channels::Rgb, |_, _, k| if k == 0 { v } else { 255 - v });
         let encoded = ssplat::unstable::encode(&pixels, &EncodeOptions::default()).unwrap();
         assert_eq!(decoded(&encoded.bytes), pixels, "{v}");
-        assert_eq!(encoded.report.primitives, 1);
+        assert_eq!(encoded.report.gaussians, 1);
     }
 }
 
 #[test]
 fn a_smooth_picture_stops_early_and_stays_within_rounding() {
     let pixels = wave(Channels::Rgb, |x, y, k| 60 + (2 * x + (k as u32 + 1) * y) as u8);
-    let mut options = options(5, Target::Primitives(300));
+    let mut options = options(5, Target::Gaussians(300));
     let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     options.needs = Needs::Everything;
     let everything = ssplat::unstable::encode(&pixels, &options).unwrap();
     let report = &encoded.report;
-    assert!(report.primitives < 300, "{}", report.primitives);
+    assert!(report.gaussians < 300, "{}", report.gaussians);
     assert!(encoded.bytes.len() < everything.bytes.len());
-    let [iterations, primitives] = [SkipReason::Iterations, SkipReason::Primitives]
+    let [iterations, primitives] = [SkipReason::Iterations, SkipReason::Gaussians]
         .map(|what| report.skipped.iter().find(|l| l.what == what).unwrap_or_else(|| panic!("{what}: {report:?}")));
     assert!(iterations.seconds > 0.0 && primitives.bytes > 0);
     // 55.9 dB is the error of rounding twice.
@@ -104,29 +107,29 @@ fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<SkipReason> {
 }
 
 #[test]
-fn ssim_weights_are_omitted_where_they_have_no_effect() {
+fn weights_are_omitted_where_they_have_no_effect() {
     let even = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 4) as u8);
     let rough = wave(Channels::Grey, |x, y, _| (100 + x * y % 7 * x) as u8);
     let psnr = options(1, Target::Bytes(150));
-    let mut ssim = psnr.clone();
-    ssim.tune = Some(Tune::Ssim);
-    let mut everything = ssim.clone();
+    let mut iq = psnr.clone();
+    iq.tune = Some(Tune::Iq);
+    let mut everything = iq.clone();
     everything.needs = Needs::Everything;
     // With a PSNR target nothing is left out, and the report says nothing about it.
     for (pixels, options, is_left_out) in
-        [(&even, &psnr, false), (&even, &ssim, true), (&even, &everything, false), (&rough, &ssim, false)]
+        [(&even, &psnr, false), (&even, &iq, true), (&even, &everything, false), (&rough, &iq, false)]
     {
         let found = left_out(pixels, options);
         assert_eq!(found.contains(&SkipReason::StructureWeights), is_left_out, "{found:?}");
     }
     let bytes = |options| ssplat::unstable::encode(&even, options).unwrap().bytes;
-    assert_eq!(bytes(&psnr), bytes(&ssim));
+    assert_eq!(bytes(&psnr), bytes(&iq));
 }
 
 #[test]
 fn an_unused_gpu_is_reported_with_the_reason() {
     let gpu = |pixels: &Pixels, backend| {
-        let mut options = options(1, Target::Primitives(3));
+        let mut options = options(1, Target::Gaussians(3));
         options.backend = backend;
         left_out(pixels, &options).into_iter().find(|w| matches!(w, SkipReason::Gpu { .. })).map(|w| w.to_string())
     };
@@ -149,7 +152,7 @@ fn an_unused_gpu_is_reported_with_the_reason() {
 fn time_saved_by_several_starts_is_bounded_by_the_time_per_step() {
     // With few primitives, four starts take more steps than the schedule of one fit.
     let pixels = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 2) as u8);
-    let encoded = ssplat::unstable::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options(5, Target::Gaussians(40))).unwrap();
     let saved = encoded.report.skipped.iter().find(|l| l.what == SkipReason::Iterations).expect("it is soft").seconds;
     assert!((0.0..1000.0).contains(&saved), "{saved} s");
 }
@@ -165,7 +168,7 @@ fn primitives_that_only_a_discarded_try_left_out_are_not_reported() {
     let samples = (0..200 * 200 * 3).map(|i| sample(i / 3 % 200, i / 600, i as usize % 3)).collect();
     let pixels = Pixels::new(200, 200, Channels::Rgb, Samples::U8(samples)).unwrap();
     let encoded = ssplat::unstable::encode(&pixels, &options(1, Target::Psnr(40.0))).unwrap();
-    let saved = encoded.report.skipped.iter().find(|l| l.what == SkipReason::Primitives).map_or(0, |l| l.bytes);
+    let saved = encoded.report.skipped.iter().find(|l| l.what == SkipReason::Gaussians).map_or(0, |l| l.bytes);
     let bytes = encoded.bytes.len();
     assert!(saved < bytes as u64, "{saved} bytes saved in a file of {bytes} bytes");
 }

@@ -21,4 +21,3 @@ mod quality;
 mod rate_control;
 mod stability;
 mod tiles;
-mod trace;

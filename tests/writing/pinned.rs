@@ -85,12 +85,11 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
         ("ratio 300", photo(), |o| (o.target, o.effort) = (Target::Ratio(300.0), 2)),
         ("300 bytes", photo(), |o| (o.target, o.effort) = (Target::Bytes(300), 3)),
         ("tune psnr", photo(), |o| (o.target, o.tune, o.effort) = (Target::Ratio(25.0), Some(Tune::Psnr), 3)),
-        ("tune ssim", photo(), |o| (o.target, o.tune, o.effort) = (Target::Ratio(25.0), Some(Tune::Ssim), 3)),
         ("no layer", photo(), |o| (o.detail, o.effort) = (Detail::Off, 3)),
         ("share of .5", photo(), |o| {
             (o.target, o.detail, o.effort) = (Target::Ratio(20.0), Detail::GaussianShare(0.5), 2);
         }),
-        ("500 primitives", photo(), |o| (o.target, o.effort) = (Target::Primitives(500), 2)),
+        ("500 primitives", photo(), |o| (o.target, o.effort) = (Target::Gaussians(500), 2)),
         ("packed layout", photo(), |o| (o.layout, o.effort) = (Layout::Packed, 2)),
         ("planes layout", photo(), |o| (o.layout, o.effort) = (Layout::Planes, 2)),
         ("four levels", photo(), |o| (o.levels, o.effort) = (4, 2)),
@@ -134,7 +133,7 @@ fn cases() -> Vec<(&'static str, Pixels, Set)> {
             (o.target, o.tiles, o.effort) = (Target::Bytes(1500), Some(128), 1);
         }),
         ("tiles of 300 primitives", photo(), |o| {
-            (o.target, o.tiles, o.effort) = (Target::Primitives(300), Some(128), 1);
+            (o.target, o.tiles, o.effort) = (Target::Gaussians(300), Some(128), 1);
         }),
     ]
 }

@@ -107,7 +107,7 @@ impl Case {
         }
         let pixels = pixels(kind, alpha, depth, channels, size, rng);
         options.hidden = one_of(rng, &[HiddenColors::Continue, HiddenColors::Keep]);
-        options.tune = one_of(rng, &[None, None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)]);
+        options.tune = one_of(rng, &[None, None, Some(Tune::Psnr), Some(Tune::Psnr), Some(Tune::Iq)]);
         options.blend = one_of(rng, &[None, None, None, Some(Blend::Sum)]);
         options.layout = one_of(rng, &[Layout::Coded, Layout::Coded, Layout::Coded, Layout::Packed, Layout::Planes]);
         options.target = match rng.random_range(0..9) {
@@ -116,11 +116,11 @@ impl Case {
             1 => Target::Ratio(rng.random_range(3.0..60.0)),
             2 => Target::Psnr(rng.random_range(18.0..45.0)),
             3 => Target::Quality(rng.random_range(20.0..90.0)),
-            4 => Target::Primitives(rng.random_range(0..30)),
+            4 => Target::Gaussians(rng.random_range(0..30)),
             _ => Target::Bytes(rng.random_range(60..900)),
         };
         let is_coded = options.layout == Layout::Coded;
-        if is_coded && !matches!(options.target, Target::Primitives(_)) {
+        if is_coded && !matches!(options.target, Target::Gaussians(_)) {
             options.detail = one_of(rng, &[Detail::Auto, Detail::Auto, Detail::Off, Detail::GaussianShare(0.2)]);
         }
         if is_coded {
@@ -227,7 +227,7 @@ fn check(case: &Case) {
         assert!(more > less - ALLOWED, "{less} dB with {bytes} bytes, {more} with twice as many");
     }
     // No file is worse than one colour of the same picture.
-    if options.layout == Layout::Coded && options.blend.is_none() && !matches!(options.target, Target::Primitives(_)) {
+    if options.layout == Layout::Coded && options.blend.is_none() && !matches!(options.target, Target::Gaussians(_)) {
         let flat = flat(pixels);
         let least = rms(metrics::psnr(pixels, &flat).unwrap(), pixels.depth());
         let room = encoded.bytes.len() > 40;

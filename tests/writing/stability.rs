@@ -13,7 +13,7 @@ use ssplat::{Renderer, View};
 
 /// Worst difference to the definition over the pixels of `picture`, in units of an 8-bit code value.
 fn render_error(picture: &Gaussians) -> f64 {
-    let view = View::full(picture);
+    let view = View::new(picture.width, picture.height);
     let renderer = match Renderer::new(picture, &view, &Limits::default()) {
         Ok(renderer) => renderer,
         Err(_) => return f64::INFINITY,
@@ -138,7 +138,7 @@ fn layers() -> Vec<Row> {
             let sizes: &[[u32; 2]] =
                 if channels == Channels::Rgba { &[[270, 61]] } else { &[[270, 61], [611, 61], [89, 40]] };
             for &[width, height] in sizes {
-                let view = View::of_size(270, 61).resized(width, height).expect("a legal view");
+                let view = View::new(270, 61).resized(width, height).expect("a legal view");
                 let drawn = splats.renderer(&view, &Limits::default()).and_then(|r| r.render(depth));
                 let want = reference::detailed(&splats, &view);
                 let Ok(drawn) = drawn else { return vec![row_of_layers(name, f64::INFINITY)] };
@@ -173,7 +173,7 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
     options.target = case.target;
     if has_layer {
         options.detail = Detail::GaussianShare(0.5);
-        if matches!(case.target, Target::Primitives(_)) {
+        if matches!(case.target, Target::Gaussians(_)) {
             options.target = Target::Bytes(400 + samples(&case.pixels).len() as u64 / 10);
         }
     }

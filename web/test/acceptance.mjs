@@ -9,7 +9,7 @@ import { crc32 } from "./files.js"
 const [folder, ...named] = process.argv.slice(2)
 const modules = named.length ? named : [new URL("../ssplat-simd.wasm", import.meta.url).pathname]
 // Those of examples/acceptance.rs.
-const limits = { width: 1 << 12, height: 1 << 12, primitives: 1 << 16, alloc: 512 << 20, tilePairs: 1 << 20 }
+const limits = { width: 1 << 12, height: 1 << 12, gaussians: 1 << 16, alloc: 512 << 20, tilePairs: 1 << 20 }
 const all = new Uint8Array(readFileSync(join(folder, "files.bin")))
 const list = readFileSync(join(folder, "list.txt"), "utf8").trim().split("\n").map(line => line.split(" "))
 

@@ -55,7 +55,7 @@ export async function run(cases, load, decoder) {
     same++
     const info = await attempt("info", bytes), header = await attempt("header", bytes), all = await attempt("gaussians", bytes)
     check(info.parts?.reduce((sum, p) => sum + p.bytes, 0) == bytes.length, `${path}: info ${info} ${JSON.stringify(info.parts)}`)
-    check(info.primitives == all.count && header.primitives == all.count && all.mean?.length == 2 * all.count, `${path}: ${all.count} of ${info.primitives} Gaussians`)
+    check(info.gaussians == all.count && header.gaussians == all.count && all.mean?.length == 2 * all.count, `${path}: ${all.count} of ${info.gaussians} Gaussians`)
     // The bits of the Gaussians add up to those of the fields.
     const each = info.each?.reduce((sum, bits) => sum + bits, 0), fields = info.fields?.reduce((sum, field) => sum + field.bits, 0)
     check(info.layout == "coded" ? info.each?.length == all.count && (!all.count || Math.abs(each - fields) < .01 * fields + 1) : info.each?.length == 0, `${path}: ${each} bits of ${info.each?.length} Gaussians, ${fields} of all fields`)

@@ -32,17 +32,17 @@ function shares(title, rows, words) {
 }
 
 // Returns one line: the size of the picture, the size of the file, and the number of Gaussians.
-export const summary = info => `${info.width} × ${info.height} · ${size(info.bytes)} · ${number(info.primitives)} Gaussian${info.primitives == 1 ? "" : "s"}`
+export const summary = info => `${info.width} × ${info.height} · ${size(info.bytes)} · ${number(info.gaussians)} Gaussian${info.gaussians == 1 ? "" : "s"}`
 
 // Returns all facts as elements.
 export function facts(info) {
   const kinds = ["", "grey", "grey and alpha", "colour", "colour and alpha"], pixels = info.width * info.height, raw = pixels * info.channels * info.depth / 8
-  const numbers = [[size(info.bytes), "the file"], [`1 : ${number(Math.round(raw / info.bytes))}`, `of ${size(raw)} raw`], [number(info.primitives), "Gaussians"], [(8 * info.bytes / pixels).toPrecision(3), "bits a pixel"]]
+  const numbers = [[size(info.bytes), "the file"], [`1 : ${number(Math.round(raw / info.bytes))}`, `of ${size(raw)} raw`], [number(info.gaussians), "Gaussians"], [(8 * info.bytes / pixels).toPrecision(3), "bits a pixel"]]
   const some = rows => rows.filter(([, v]) => v > 0), fields = some(info.fields.map(f => [f.name, f.bits]))
   return [
     make("div", numbers.map(([v, words]) => make("div", [make("b", [v]), make("span", [words])])), { id: "numbers" }),
     ...shares("Where the bytes go", some(info.parts.map(p => [p.name, p.bytes])), number),
-    ...fields.length ? shares("Bits of a Gaussian", fields, bits => (bits / info.primitives).toFixed(2)) : [],
+    ...fields.length ? shares("Bits of a Gaussian", fields, bits => (bits / info.gaussians).toFixed(2)) : [],
     ...info.sections.length ? [make("h2", ["Sections, bytes"]), table(info.sections.map(s => [s.name, number(s.bytes)]))] : [],
     make("h2", ["Picture"]),
     table([["Size", `${info.width} × ${info.height}`], ["Channels", kinds[info.channels]], ["Depth", `${info.depth} bits`], ["Orientation", info.orientation], ...info.cicp?.length ? [["Code points", info.cicp.join(", ")]] : [], ["ICC profile", info.icc.length ? `${number(info.icc.length)} bytes` : "none"], ["EXIF", info.exif.length ? `${number(info.exif.length)} bytes` : "none"]]),

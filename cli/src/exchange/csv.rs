@@ -68,7 +68,7 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
         return Err("the table has neither scale_major, scale_minor and rotation nor cov_xx, cov_xy and cov_yy".into());
     }
     for (number, line) in lines {
-        Problem::limit("primitives", gaussians.len() as u64 + 1, limits.primitives)?;
+        Problem::limit("gaussians", gaussians.len() as u64 + 1, limits.gaussians)?;
         let fields: Vec<&str> = line.split(',').map(str::trim).take(names.len()).collect();
         let value = |column: usize| {
             let field = fields.get(column).copied().unwrap_or("");
@@ -130,12 +130,12 @@ mod tests {
     fn more_lines_than_are_allowed_are_a_limit() {
         let text = "x,y,cov_xx,cov_xy,cov_yy,grey\n".to_owned() + &"1,2,4,0,9,0.5\n".repeat(3);
         let mut limits = Limits::default();
-        limits.primitives = 2;
+        limits.gaussians = 2;
         let given = Given { size: Some([8, 8]), blend: Some(Blend::Sum) };
         let allowed = 2;
-        let problem = Problem::TooMuch { what: "primitives".into(), requested: 3, allowed };
+        let problem = Problem::TooMuch { what: "gaussians".into(), requested: 3, allowed };
         assert_eq!(read(&text, given, &limits), Err(problem));
-        limits.primitives = 3;
+        limits.gaussians = 3;
         assert_eq!(read(&text, given, &limits).unwrap().picture.list.len(), 3);
     }
 

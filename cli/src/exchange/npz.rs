@@ -35,7 +35,7 @@ pub fn read(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<BTreeMap<St
     for &name in names {
         let Some(index) = zip.index_for_name(&format!("{name}.npy")) else { continue };
         let entry = zip.by_index(index).map_err(|e| format!("array {name}: {e}"))?;
-        let array = npy::read(BufReader::new(entry), limits.primitives, &mut left).map_err(|e| e.of(name))?;
+        let array = npy::read(BufReader::new(entry), limits.gaussians, &mut left).map_err(|e| e.of(name))?;
         arrays.insert(name.to_owned(), array);
     }
     Ok(arrays)

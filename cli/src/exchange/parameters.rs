@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::Index;
 
 use ssplat::unstable::bitstream::splats::{Layout, Steps};
-use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Limits, SplatImage};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Limits, SsplatImage};
 
 use super::npy::{self, Array, Values};
 use super::npz;
@@ -65,8 +65,8 @@ impl Parameters {
     /// Returns the Gaussians of a file, with its layout and steps.
     ///
     /// # Errors
-    /// As [`SplatImage::gaussians`].
-    pub fn of(image: &SplatImage) -> ssplat::Result<Self> {
+    /// As [`SsplatImage::gaussians`].
+    pub fn of(image: &SsplatImage) -> ssplat::Result<Self> {
         let splats = image.splats();
         Ok(Parameters { picture: image.gaussians()?, stored: Some((splats.layout, splats.steps)) })
     }

@@ -289,7 +289,7 @@ impl Vertex<'_> {
 /// have an opacity that is left out.
 pub fn read(file: &[u8], given: Given, limits: &Limits) -> Result<(Parameters, Option<&'static str>), Problem> {
     let header = Header::read(file)?;
-    Problem::limit("primitives", header.vertices, limits.primitives)?;
+    Problem::limit("gaussians", header.vertices, limits.gaussians)?;
     let means = header.all(["x", "y"])?;
     let scales = header.all(["scale_0", "scale_1"])?;
     let turns = header.all(["rot_0", "rot_1", "rot_2", "rot_3"])?;
@@ -500,7 +500,7 @@ mod tests {
             (text("float z", "list uchar int z"), "line 6: a vertex has a list"),
             (text("element vertex 1", "element face 1"), "line 3: the first element is face, not vertex"),
             (text("vertex 1", "vertex -1"), "line 3 is 'element vertex -1'"),
-            (text("vertex 1", "vertex 99999999999999999"), "primitives 99999999999999999 is more than"),
+            (text("vertex 1", "vertex 99999999999999999"), "gaussians 99999999999999999 is more than"),
             (text("scale_1", "scale_2"), "a vertex has no property scale_1"),
             (text("3 4 7", "3 NaN 7"), "line 20: y is NaN, not a finite number"),
             (text("3 4 7", "3 four 7"), "line 20: 'four' is not a number"),

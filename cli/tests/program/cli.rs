@@ -26,11 +26,11 @@ impl Folder {
         path
     }
 
-    /// Writes an .ssplat file of a few primitives to `name`.
+    /// Writes an .ssplat file of a few Gaussians to `name`.
     fn encoded(&self, name: &str) -> PathBuf {
         let source = self.picture("source.png");
         let path = self.path(name);
-        succeeds(ssplat(&[&"encode", &source, &path, &"--primitives", &"40", &"--effort", &"1"]));
+        succeeds(ssplat(&[&"encode", &source, &path, &"--gaussians", &"40", &"--effort", &"1"]));
         fs::remove_file(source).unwrap();
         path
     }
@@ -146,7 +146,7 @@ fn the_file_does_not_depend_on_the_thread_count() {
 fn standard_input_and_output_work_like_files() {
     let folder = Folder::new();
     let picture = fs::read(folder.picture("a.png")).unwrap();
-    let encoded = fed(&[&"encode", &"-", &"-", &"--primitives", &"20", &"--effort", &"1"], &picture);
+    let encoded = fed(&[&"encode", &"-", &"-", &"--gaussians", &"20", &"--effort", &"1"], &picture);
     assert!(encoded.status.success(), "{encoded:?}");
     let png = fed(&[&"decode", &"-", &"-"], &encoded.stdout);
     let decoded = image::load_from_memory(&png.stdout).unwrap();
@@ -178,7 +178,7 @@ fn the_parts_of_info_add_up_to_the_file() {
     assert_eq!(sum, fs::metadata(&file).unwrap().len());
     assert_eq!(info["bytes"].as_u64().unwrap(), sum);
     assert_eq!((info["width"].as_u64(), info["height"].as_u64()), (Some(60), Some(40)));
-    assert!(info["primitives"].as_u64().unwrap() <= 40);
+    assert!(info["gaussians"].as_u64().unwrap() <= 40);
     assert!(succeeds(ssplat(&[&"info", &file])).contains("60 x 40 pixels, rgb, 8 bits"));
 }
 
@@ -197,7 +197,7 @@ fn encode_and_info_report_what_was_left_out() {
     let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
     let left_out = info["left_out"].as_array().unwrap();
     let levels = left_out.iter().find(|l| l["what"].as_str().unwrap().starts_with("progressive levels")).unwrap();
-    // Measured: a file of the same primitives with levels is larger by this much.
+    // Measured: a file of the same Gaussians with levels is larger by this much.
     assert!(levels["bytes_saved"].as_u64().unwrap() > 0, "{info}");
     assert!(succeeds(ssplat(&[&"info", &file])).contains("left out\n"));
 }
@@ -360,7 +360,7 @@ fn grey_alpha_and_sixteen_bits_are_preserved() {
     for picture in pictures {
         let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
         picture.save(&source).unwrap();
-        succeeds(ssplat(&[&"encode", &source, &file, &"--primitives", &"30", &"--effort", &"1"]));
+        succeeds(ssplat(&[&"encode", &source, &file, &"--gaussians", &"30", &"--effort", &"1"]));
         succeeds(ssplat(&[&"decode", &file, &out]));
         assert_eq!(image::open(&out).unwrap().color(), picture.color());
     }
@@ -426,7 +426,7 @@ fn wrong_usage_exits_with_2() {
         (["--ratio", "nan"], "nan"),
         (["--effort", "10"], "10"),
         (["--time", "0"], "--time"),
-        (["--primitives", "0"], "--primitives"),
+        (["--gaussians", "0"], "--gaussians"),
         (["--layout", "zip"], "zip"),
         (["--threads", "0"], "--threads"),
         (["--bytes", "1"], "a.png"),
@@ -691,9 +691,9 @@ fn told(output: Output) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
-const QUICK: [&str; 4] = ["--primitives", "20", "--effort", "1"];
+const QUICK: [&str; 4] = ["--gaussians", "20", "--effort", "1"];
 
-/// Runs `encode` for one file with few primitives.
+/// Runs `encode` for one file with few Gaussians.
 fn quick(input: &Path, output: &Path, more: &[&str]) -> Output {
     let mut command = command(&[&"encode", &input, &output]);
     command.args(QUICK).args(more).output().unwrap()
@@ -894,7 +894,7 @@ fn useless_threads_and_primitives_are_not_used() {
     let (source, out) = (folder.path("a.png"), folder.path("o.ssplat"));
     image::GrayImage::from_fn(9, 7, |x, y| image::Luma([(x * 28 + y * 3) as u8])).save(&source).unwrap();
     assert!(told(quick(&source, &out, &["--threads", "100000"])).contains("--threads 100000"));
-    let many = ssplat(&[&"encode", &source, &out, &"--primitives", &"16777216", &"--effort", &"1"]);
+    let many = ssplat(&[&"encode", &source, &out, &"--gaussians", &"16777216", &"--effort", &"1"]);
     assert!(told(many).contains("63 are enough"));
 }
 
@@ -1249,7 +1249,7 @@ fn info_measures_the_levels_that_the_encoder_writes() {
     use ssplat::unstable::bitstream;
     let folder = Folder::new();
     let file = folder.path("a.ssplat");
-    succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--primitives", &"600", &"--effort", &"1", &"--layout", &"coded"]));
+    succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--gaussians", &"600", &"--effort", &"1", &"--layout", &"coded"]));
     let bytes = fs::read(&file).unwrap();
     let mut splats = bitstream::read(&bytes[..], &ssplat::Limits::default()).unwrap();
     ssplat::unstable::divide(&mut splats, 3);

@@ -35,7 +35,7 @@ fn file(folder: &Path, channels: Channels, layout: Layout, blend: Blend) -> Path
     let samples = (0..48 * 32 * count).map(|i| (i * i / 7 % 251) as u8).collect();
     let pixels = Pixels::new(48, 32, channels, Samples::U8(samples)).unwrap();
     let mut options = EncodeOptions::default();
-    (options.target, options.effort) = (Target::Primitives(60), 1);
+    (options.target, options.effort) = (Target::Gaussians(60), 1);
     (options.layout, options.blend) = (layout, Some(blend));
     let path = folder.join("fit.ssplat");
     fs::write(&path, ssplat::unstable::encode(&pixels, &options).unwrap().bytes).unwrap();

@@ -205,9 +205,9 @@ fn a_file_larger_than_its_input_is_told() {
     assert!(png.len() < 400);
     let input = folder.file("a.png", &png);
     let out = folder.root().join("o.ssplat");
-    let encode = |primitives: &str| {
+    let encode = |gaussians: &str| {
         let args =
-            ["encode", input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--primitives", primitives];
+            ["encode", input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--gaussians", gaussians];
         said(&ssplat(&args))
     };
     assert!(encode("900").contains("more than the"), "{}", encode("900"));

@@ -32,9 +32,9 @@ fn a_truncated_file_is_rendered_on_request_and_the_loss_is_reported() {
     let (drawn, picture) = decode(&folder, cut, &["--partial", "--json"]);
     assert!(drawn.status.success() && picture.is_some());
     let said = String::from_utf8(drawn.stderr).unwrap();
-    assert!(said.contains("30 of 60 primitives in 1 of 3 groups are missing"), "{said}");
+    assert!(said.contains("30 of 60 Gaussians in 1 of 3 groups are missing"), "{said}");
     let json = String::from_utf8(drawn.stdout).unwrap();
-    assert!(json.contains("\"missing\":{\"of\":60,\"primitives\":30}"), "{json}");
+    assert!(json.contains("\"missing\":{\"gaussians\":30,\"of\":60}"), "{json}");
 }
 
 #[test]
@@ -72,7 +72,7 @@ fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_rendered() {
     let (drawn, picture) = decode(&folder, &hurt, &["--partial", "--json"]);
     assert!(drawn.status.success() && picture.is_some());
     let said = String::from_utf8(drawn.stderr).unwrap();
-    assert!(said.contains("1 of 4 tiles of the detail layer are missing") && !said.contains("primitives"), "{said}");
+    assert!(said.contains("1 of 4 tiles of the detail layer are missing") && !said.contains("Gaussians"), "{said}");
     let json = String::from_utf8(drawn.stdout).unwrap();
     assert!(json.contains("\"of_tiles\":4") && json.contains("\"tiles\":1"), "{json}");
     // A cut within the checksum loses nothing of the picture.
@@ -104,7 +104,7 @@ fn missing_tiles_are_told_by_layer() {
         let json = String::from_utf8(drawn.stdout).unwrap();
         let exact = u32::from(layers.contains(&"exact"));
         let counts = format!(
-            "\"exact_tiles\":{exact},\"of\":20,\"of_exact_tiles\":1,\"of_tiles\":2,\"primitives\":0,\"tiles\":{}",
+            "\"exact_tiles\":{exact},\"gaussians\":0,\"of\":20,\"of_exact_tiles\":1,\"of_tiles\":2,\"tiles\":{}",
             layers.len()
         );
         assert!(json.contains(&counts), "{json}");

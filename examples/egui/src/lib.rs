@@ -7,7 +7,7 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use egui::{Color32, ColorImage, Context, Pos2, Sense, TextureHandle, TextureOptions, Ui, Vec2};
-use ssplat::{Channels, Reader, SamplesMut, SplatImage};
+use ssplat::{Channels, Reader, SamplesMut, SsplatImage};
 
 pub mod view;
 
@@ -102,7 +102,7 @@ impl Viewer {
 
 /// A picture that has been read.
 struct Picture {
-    image: SplatImage,
+    image: SsplatImage,
     channels: Channels,
 }
 

@@ -94,7 +94,7 @@ impl Step {
         let seconds = start.elapsed().as_secs_f64();
         let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
         let found = metrics::compare(pixels, &decoded)?;
-        let primitives = encoded.report.primitives;
+        let primitives = encoded.report.gaussians;
         Ok(Outcome { bytes: encoded.bytes.len() as u64, psnr: found.psnr, ms_ssim: found.ms_ssim, primitives, seconds })
     }
 }

@@ -2,8 +2,9 @@
 
 use crate::recipes::{self, Counted, Method};
 use crate::smartsplat::Ablation;
+use crate::trace::traced;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
-use ssplat::unstable::{Needs, Outside, Recipe, Trace, metrics};
+use ssplat::unstable::{Needs, Outside, Recipe, metrics};
 use ssplat::{Encoder, Pixels, Result, Target};
 
 /// Method that is measured.
@@ -114,15 +115,15 @@ impl Contender {
 fn own(pixels: &Pixels, setup: &Setup, recipe: Recipe, measured: &mut Measured) -> Result<()> {
     let mut options = EncodeOptions::default();
     (options.effort, options.seed, options.recipe) = (setup.effort, setup.seed, recipe);
-    (options.needs, options.trace) = (Needs::Everything, Trace::On);
-    options.target = Target::Primitives(setup.count);
-    let encoded = ssplat::unstable::encode(pixels, &options)?;
+    options.needs = Needs::Everything;
+    options.target = Target::Gaussians(setup.count);
+    let (encoded, trace) = traced(&options, |options| ssplat::unstable::encode(pixels, options));
+    let encoded = encoded?;
     measured.float_psnr = Some(encoded.report.float_psnr);
     measured.seconds = encoded.report.stages.iter().filter(|s| s.name == "fit").map(|s| s.seconds).sum();
-    let fitted = encoded.report.trace.iter().filter(|p| p.stage == "fit");
+    let fitted = trace.iter().filter(|p| p.stage == "fit");
     measured.trace = fitted.map(|p| (p.seconds, p.psnr)).collect();
     options.target = Target::Bytes(setup.bytes);
-    options.trace = Trace::Off;
     let encoded = ssplat::unstable::encode(pixels, &options)?;
     measured.filed(pixels, &encoded.bytes)
 }

@@ -7,12 +7,13 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 use ssplat::unstable::EncodeOptions;
+use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::{Recipe, Trace};
 use ssplat::{Backend, Blend, Limits, Pixels, Rect, Target, Tune};
 use ssplat::{Renderer, View};
 
 use crate::smartsplat::Ablation;
+use crate::trace::{TracePoint, traced};
 
 use ssplat_cli::compare;
 use ssplat_cli::failure::Failure;
@@ -84,7 +85,6 @@ impl Setup {
         o.blend = self.blend;
         o.backend = self.backend;
         o.layout = Layout::Coded;
-        o.trace = Trace::On;
         // The pages compare squared errors.
         o.tune = Some(Tune::Psnr);
         o
@@ -159,13 +159,15 @@ pub fn load(path: &Path, job: Job) -> Option<Cell> {
 /// Runs the job and stores its results. `progress` is called with the fraction that is done.
 pub fn run(path: &Path, job: Job, subject: &Subject, progress: &mut dyn FnMut(f32)) -> Result<Cell, Failure> {
     let options = job.setup.options();
-    let encoded = ssplat::unstable::encode_with_progress(&subject.pixels, &options, &mut |p| {
-        progress(if p.stage == "fit" { 0.8 * p.done } else { 0.8 + 0.2 * p.done });
-        ControlFlow::Continue(())
+    let (encoded, trace) = traced(&options, |options| {
+        ssplat::unstable::encode_with_progress(&subject.pixels, options, &mut |p| {
+            progress(if p.stage == "fit" { 0.8 * p.done } else { 0.8 + 0.2 * p.done });
+            ControlFlow::Continue(())
+        })
     });
     let cell = match encoded {
         Ok(encoded) => {
-            let values = measure(&encoded, &job, subject)?;
+            let values = measure(&encoded, &trace, &job, subject)?;
             Cell { job, values, bytes: encoded.bytes }
         }
         Err(e) => Cell { job, values: json!({ "error": e.to_string() }), bytes: Vec::new() },
@@ -177,7 +179,7 @@ pub fn run(path: &Path, job: Job, subject: &Subject, progress: &mut dyn FnMut(f3
     Ok(cell)
 }
 
-fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Value, Failure> {
+fn measure(encoded: &ssplat::Encoded, trace: &[TracePoint], job: &Job, subject: &Subject) -> Result<Value, Failure> {
     let path = Path::new(&subject.name);
     let failed = |e| Failure::library(path, &e);
     let limits = Limits::default();
@@ -185,7 +187,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
     let decoded = source::decode(path, &encoded.bytes)?;
     let found = compare::measure(&subject.pixels, &decoded.pixels).map_err(failed)?;
     let (width, height) = (splats.width, splats.height);
-    let full = View::of_size(width, height);
+    let full = View::new(width, height);
     let side = [width.min(REGION), height.min(REGION)];
     let region =
         full.crop(Rect::new((width - side[0]) / 2, (height - side[1]) / 2, side[0], side[1])).map_err(failed)?;
@@ -211,8 +213,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         .iter()
         .map(|l| json!({ "what": l.what.to_string(), "bytes": l.bytes, "seconds": l.seconds }))
         .collect();
-    let trace: Vec<Value> = r
-        .trace
+    let trace: Vec<Value> = trace
         .iter()
         .map(|p| {
             json!({
@@ -232,7 +233,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         "backend": job.setup.backend_name(),
         "device": r.chosen.device,
         "bytes": encoded.bytes.len(),
-        "primitives": r.primitives,
+        "primitives": r.gaussians,
         "psnr": found.psnr.min(compare::IDENTICAL),
         "ssim": found.ssim,
         "ms_ssim": found.ms_ssim,

@@ -73,7 +73,7 @@ pub struct Scene {
 impl Scene {
     /// A scene with at most 400 primitives and without a layer, for the lowest squared error.
     fn of_primitives(name: &str, pixels: Pixels) -> Self {
-        Scene { name: name.into(), pixels, target: Target::Primitives(400), tune: Tune::Psnr }
+        Scene { name: name.into(), pixels, target: Target::Gaussians(400), tune: Tune::Psnr }
     }
 
     /// A scene with the default tuning, which has a detail layer at most ratios.

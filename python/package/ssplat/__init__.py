@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from . import metrics
 from ._codec import decode, encode, info, work_on_tile
-from ._primitives import from_gaussians, gaussians
+from ._gaussians import from_gaussians, gaussians
 from ._reader import Reader
 from ._ssplat import FORMAT_VERSION, __version__
 from .errors import (

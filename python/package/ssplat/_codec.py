@@ -30,7 +30,7 @@ def encode(
     ratio: float | None = None,
     bytes: int | None = None,
     psnr: float | None = None,
-    primitives: int | None = None,
+    gaussians: int | None = None,
     quality: float | None = None,
     lossless: bool = False,
     effort: int = 5,
@@ -41,7 +41,7 @@ def encode(
     tiles: int | None = None,
     thumbnail: Literal["auto"] | int | None = "auto",
     detail: Literal["auto", "off"] | float = "auto",
-    tune: Literal["psnr", "ssim", "iq"] | None = None,
+    tune: Literal["psnr", "iq"] | None = None,
     backend: Literal["auto", "cpu", "gpu"] = "auto",
     metadata: Literal["needed", "all", "icc", "none"] = "needed",
     cicp: Cicp | None = _KEEP,
@@ -62,7 +62,7 @@ def encode(
         bytes: maximum size of the file.
         psnr: PSNR to reach, dB. The result is the smallest file found that reaches it. If ``time`` runs out first, the
             result is the best file so far, with a QualityWarning.
-        primitives: number of Gaussians.
+        gaussians: number of Gaussians.
         quality: perceptual quality to reach, 0 to 100: the SSIMULACRA2 score of the file, within half a point. Low,
             medium, high and very high quality are about 30, 50, 70 and 90. 70 if no target is given. Where the picture
             without loss takes no more bytes, it is stored without loss. A QualityWarning is issued if the score is not
@@ -84,7 +84,7 @@ def encode(
             in files of at least 100 000 bytes. None: no thumbnail.
         detail: whether the file has a detail layer, the transform-coded residual of the Gaussians. ``auto``: if the
             file gains by it; ``off``: never; or the share of the bytes for the Gaussians, above 0 and below 1.
-        tune: the measure to favour: ``psnr``, ``ssim`` or ``iq`` (perceptual quality). None: ``iq``, or ``psnr`` if the
+        tune: the measure to favour: ``psnr`` or ``iq`` (perceptual quality). None: ``iq``, or ``psnr`` if the
             target is ``psnr``.
         backend: the device. Only a build with the feature ``gpu`` supports devices other than the CPU.
         metadata: the metadata of the picture to store: ``needed``, the colours and the orientation; ``all``, also the
@@ -130,7 +130,7 @@ def encode(
         "ratio": real("ratio", ratio),
         "bytes": whole("bytes", bytes),
         "psnr": real("psnr", psnr),
-        "primitives": whole("primitives", primitives),
+        "gaussians": whole("gaussians", gaussians),
         "quality": real("quality", quality),
         "lossless": lossless,
         "effort": whole("effort", effort),
@@ -205,7 +205,7 @@ def decode(
         detail: render all layers of the file; False: only the Gaussians.
         bits: bits per sample; None: those of the source.
         threads: number of threads; None: as many as are useful.
-        limits: limits for the file that replace the defaults: any of ``width``, ``height``, ``primitives``,
+        limits: limits for the file that replace the defaults: any of ``width``, ``height``, ``gaussians``,
             ``tile_pairs``, ``work``, ``overlap``, ``alloc`` and ``metadata``, which
             ``Limits`` of the Rust library documents.
 
@@ -228,8 +228,8 @@ def decode(
         "threads": threads,
         "limits": None if limits is None else dict(limits),
     }
-    array, (primitives, groups, of_groups, *layers, damaged) = _ssplat.decode(content(data, limits), options)
-    lost = [f"{groups} of {of_groups} groups with {primitives} primitives"] if groups else []
+    array, (gaussians, groups, of_groups, *layers, damaged) = _ssplat.decode(content(data, limits), options)
+    lost = [f"{groups} of {of_groups} groups with {gaussians} Gaussians"] if groups else []
     for layer, (tiles, of_tiles) in zip(("detail", "exact"), layers, strict=True):
         lost += [f"{tiles} of {of_tiles} tiles of the {layer} layer"] if tiles else []
     if lost:
@@ -249,7 +249,7 @@ def info(data: Data, *, limits: Mapping[str, int] | None = None) -> Info:
 
     Returns:
         ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
-        file, ``primitives``, ``layout``, ``blend``, ``levels`` (primitives in each), ``groups``, ``codebook`` (colours
+        file, ``gaussians``, ``layout``, ``blend``, ``levels`` (Gaussians in each), ``groups``, ``codebook`` (colours
         in it, or None), ``detail`` (None, or a dict of the detail layer's ``bytes``, ``bits`` and ``levels``, and of
         the number of ``tiles`` that have levels, out of ``of_tiles``), ``exact`` (None, or a dict of the exact layer's
         ``bytes``, ``covered_pixels`` and ``tile_side``), ``steps`` (the indices of specification §4.1), ``parts``

@@ -50,7 +50,7 @@ class Info(TypedDict):
     channels: int
     bits: int
     bytes: int
-    primitives: int
+    gaussians: int
     layout: Literal["coded", "packed", "planes"]
     blend: Literal["normalized", "sum"]
     levels: list[int]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from . import _ssplat
 from ._codec import decode, info
 from ._input import content
-from ._primitives import gaussians
+from ._gaussians import gaussians
 
 if TYPE_CHECKING:
     import numpy as np

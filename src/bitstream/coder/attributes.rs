@@ -1,4 +1,4 @@
-//! Codes shape and colour of the primitives of a group, in contexts of their neighbours (spec §8.5, §8.6).
+//! Codes shape and colour of the Gaussians of a group, in contexts of their neighbours (spec §8.5, §8.6).
 
 use std::sync::LazyLock;
 
@@ -54,7 +54,7 @@ pub(crate) struct Palette<'a> {
     pub book: Option<&'a [[i16; 4]]>,
 }
 
-/// Sums over the neighbouring primitives, weighted by distance.
+/// Sums over the neighbouring Gaussians, weighted by distance.
 #[derive(Debug, Clone, Copy)]
 struct NeighbourSums([i32; LANES]);
 
@@ -75,7 +75,7 @@ impl NeighbourSums {
         self.0[ERROR_LANES + k].into()
     }
 
-    /// Returns the direction of the doubled angle; its length grows with the elongation of the primitives.
+    /// Returns the direction of the doubled angle; its length grows with the elongation of the Gaussians.
     #[inline]
     fn axis(&self) -> [i64; 2] {
         [self.0[AXIS_LANES].into(), self.0[AXIS_LANES + 1].into()]
@@ -110,7 +110,7 @@ struct ColorContext<'a> {
     around: &'a NeighbourSums,
     /// Weights of the neighbours' average and of their prediction errors.
     trust: [i64; 2],
-    /// `0..=15`: the size of the primitive relative to the spacing of primitives, in octaves of its area.
+    /// `0..=15`: the size of the Gaussian relative to the spacing of Gaussians, in octaves of its area.
     size: usize,
     /// `0..=7`: the aspect in octaves.
     aspect: usize,
@@ -171,8 +171,8 @@ impl Slope {
     }
 }
 
-/// Number of primitives after which statistics are no longer refreshed for every primitive, but once per this many
-/// primitives: a division costs more than the refresh gains.
+/// Number of Gaussians after which statistics are no longer refreshed for every Gaussian, but once per this many
+/// Gaussians: a division costs more than the refresh gains.
 const REFRESH_ALL: u32 = 64;
 const REFRESH_EACH: u32 = 8;
 
@@ -202,11 +202,11 @@ pub(crate) struct Attributes {
     /// Running means of the major and of the minor scale, sixteenths of a scale step.
     means: [Mean; 2],
     seen: u32,
-    /// Scale index that corresponds to the spacing of primitives, eighths.
+    /// Scale index that corresponds to the spacing of Gaussians, eighths.
     spacing: i64,
 }
 
-/// Parameters shared by all primitives of a group.
+/// Parameters shared by all Gaussians of a group.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GroupContext<'a> {
     pub rules: &'a Rules,
@@ -214,7 +214,7 @@ pub(crate) struct GroupContext<'a> {
     pub steps: Steps,
     /// Cells of the finest position step.
     pub grid: [u32; 2],
-    /// `16·log₂` of the spacing of primitives, pixels.
+    /// `16·log₂` of the spacing of Gaussians, pixels.
     pub spacing: i64,
 }
 
@@ -230,10 +230,10 @@ impl GroupContext<'_> {
     }
 }
 
-/// Returns `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
+/// Returns `16·log₂` of the spacing, in cells, of `count` Gaussians on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
     let (area, count) = (u64::from(size[0]) * u64::from(size[1]), u64::from(count.max(1)));
-    // 256 times the number of cells per primitive. If that overflows, only the highest five bits count.
+    // 256 times the number of cells per Gaussian. If that overflows, only the highest five bits count.
     let log = match (area / count).checked_mul(256) {
         Some(whole) => log16((whole + area % count * 256 / count).max(1)),
         None => log16(area / count >> 8) + 16 * 16,
@@ -370,7 +370,7 @@ impl Attributes {
         }
     }
 
-    /// Codes the primitive in `square`. When reading, `p` is ignored; the returned primitive obeys the rules of the
+    /// Codes the Gaussian in `square`. When reading, `p` is ignored; the returned Gaussian obeys the rules of the
     /// format.
     pub(crate) fn code<C: Coder>(
         &mut self,
@@ -412,7 +412,7 @@ impl Attributes {
         coder.account("angle");
 
         // The position steps follow from the shape, and are finer than the square in the direction in which the
-        // primitive is narrow. All cells within the square are about equally likely.
+        // Gaussian is narrow. All cells within the square are about equally likely.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
         let [x, y] = refined(coder, scene, square, exponents, [p.x, p.y])?;
         coder.account("position refinement");
@@ -427,7 +427,7 @@ impl Attributes {
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
             None => {
-                // The spread of colours around their prediction depends on the primitive's size and aspect.
+                // The spread of colours around their prediction depends on the Gaussian's size and aspect.
                 let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
                 let outlook = ColorContext {
                     around: &around,
@@ -443,7 +443,7 @@ impl Attributes {
         Ok(p)
     }
 
-    /// Updates the means with a primitive that has `angles` angles and was coded with these errors of its colour.
+    /// Updates the means with a Gaussian that has `angles` angles and was coded with these errors of its colour.
     /// Returns its contribution to its bucket.
     #[inline(always)]
     fn learn(&mut self, scene: &GroupContext<'_>, angles: u16, p: &PackedGaussian, errors: &[i32; 4]) -> [i32; LANES] {
@@ -454,7 +454,7 @@ impl Attributes {
         self.means[0].add(i64::from(major) * FINE);
         self.means[1].add(i64::from(minor) * FINE);
         // An axis is the same after half a turn, so directions are summed as vectors of twice the angle. The vectors
-        // of round primitives are short, because their angles are arbitrary.
+        // of round Gaussians are short, because their angles are arbitrary.
         let octaves = i32::from(major - minor) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(angles) / 2) / u32::from(angles) % 64;

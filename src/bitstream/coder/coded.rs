@@ -59,7 +59,7 @@ fn read_stream<C: Coder>(coder: &mut C, header: &Header, splats: &mut PackedSpla
     (splats.background, splats.codebook) = read_palette(coder, header)?;
     let group = Group::new(splats, splats.codebook.as_deref())?;
     group.rules.palette(splats)?;
-    splats.gaussians = group.code(coder, group.rules.region(), None, header.primitives)?;
+    splats.gaussians = group.code(coder, group.rules.region(), None, header.gaussians)?;
     Ok(())
 }
 
@@ -84,7 +84,7 @@ pub(crate) struct Group<'a> {
 
 impl<'a> Group<'a> {
     /// # Errors
-    /// [`Error::Parameter`](crate::Error::Parameter) if a primitive's colour is not in the codebook.
+    /// [`Error::Parameter`](crate::Error::Parameter) if a Gaussian's colour is not in the codebook.
     pub(crate) fn new(splats: &PackedSplats, book: Option<&'a [[i16; 4]]>) -> Result<Self> {
         if let Some(book) = book {
             splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
@@ -93,7 +93,7 @@ impl<'a> Group<'a> {
         Ok(Group { rules: Rules::of(splats), steps: splats.steps, palette })
     }
 
-    /// Codes `count` primitives of `region`. When writing, they must be sorted.
+    /// Codes `count` Gaussians of `region`. When writing, they must be sorted.
     pub(crate) fn code<C: Coder>(
         &self,
         coder: &mut C,
@@ -111,7 +111,7 @@ impl<'a> Group<'a> {
         let spacing = cells + 16 * i64::from(finest);
         let squares = squares(coder, &mut Counts::new(), &extent, &given, count)?;
         coder.account("position");
-        coder.primitive();
+        coder.gaussian();
         let mut buckets = Buckets::new(count, region.corner, side);
         let scene = GroupContext { rules, palette: self.palette, steps: self.steps, grid, spacing };
         let mut attributes = Attributes::new(&scene);
@@ -120,10 +120,10 @@ impl<'a> Group<'a> {
         for (i, square) in squares.iter().enumerate() {
             let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
             let p = attributes.code(coder, &scene, &mut buckets, square, &given)?;
-            coder.primitive();
+            coder.gaussian();
             // Squares are ascending by construction; the order within a square is checked.
             if last == Some(square) && out.last().is_some_and(|before| order(before) > order(&p)) {
-                return Err(Broken { field: "order of primitives", value: i as u64 });
+                return Err(Broken { field: "order of Gaussians", value: i as u64 });
             }
             last = Some(square);
             out.push(p);

@@ -1,7 +1,7 @@
-//! Estimates the cost in bits of other integers for a primitive, from the predictions of the entropy coder (spec
+//! Estimates the cost in bits of other integers for a Gaussian, from the predictions of the entropy coder (spec
 //! §8.6).
 //!
-//! The coder predicts the aspect, the angle and the colour of a primitive from its neighbours, with adaptive spreads.
+//! The coder predicts the aspect, the angle and the colour of a Gaussian from its neighbours, with adaptive spreads.
 //! A [`Recorder`] takes the coder's place and records both. The record is a snapshot: it is valid as long as the
 //! neighbours do not change.
 
@@ -28,7 +28,7 @@ struct Color {
     spread: i16,
 }
 
-/// Predictions for one primitive.
+/// Predictions for one Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PredictedCost {
     /// The major scale for which the aspect was predicted.
@@ -88,7 +88,7 @@ impl PredictedCost {
     }
 }
 
-/// Distribution of the angles of a primitive that has more than one possible angle.
+/// Distribution of the angles of a Gaussian that has more than one possible angle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Angles {
     choice: Bounded,
@@ -141,7 +141,7 @@ fn log2(value: u32) -> f32 {
     exponent as f32 + ((0.158_248_7 * m - 1.051_875) * m + 3.047_884) * m - 2.153_620_7
 }
 
-/// Processes the primitives as a writer does, and records the prediction of each.
+/// Processes the Gaussians as a writer does, and records the prediction of each.
 #[derive(Debug, Default)]
 struct Recorder(Vec<PredictedCost>);
 
@@ -184,7 +184,7 @@ impl Coder for Recorder {
     }
 }
 
-/// Sorts the primitives of `splats` into the order of the file, and returns the coder's predictions for each. Returns
+/// Sorts the Gaussians of `splats` into the order of the file, and returns the coder's predictions for each. Returns
 /// nothing for other layouts and for colours in a codebook, which are not predicted.
 ///
 /// # Errors
@@ -227,7 +227,7 @@ mod tests {
     use crate::limits::Limits;
     use crate::pixels::Depth;
 
-    /// Returns primitives whose colours and angles depend on their position, with some random ones.
+    /// Returns Gaussians whose colours and angles depend on their position, with some random ones.
     fn made_up(count: usize, channels: Channels) -> PackedSplats {
         let mut splats = PackedSplats {
             width: 700,
@@ -262,7 +262,7 @@ mod tests {
                 *c = (60.0 * at[k % 2] + far * (rng.random::<f32>() - 0.5)) as i16;
             }
             let p = PackedGaussian { x, y, major, minor, angle, color };
-            if rules.primitive(&p).is_ok() {
+            if rules.gaussian(&p).is_ok() {
                 splats.gaussians.push(p);
             }
         }

@@ -18,12 +18,12 @@ const MAX_TABLE_COUNT: u32 = 12;
 // release, which is not in the repository. They are part of the format (spec §8.4) and can only change with its
 // version.
 
-/// Initial probability, in 1/256, that a primitive that has not stayed in a larger square stays in this one, by the
-/// side of the square: entry 12 is the spacing of primitives, and a step is half an octave.
+/// Initial probability, in 1/256, that a Gaussian that has not stayed in a larger square stays in this one, by the
+/// side of the square: entry 12 is the spacing of Gaussians, and a step is half an octave.
 const STAY_CHANCES: [u32; 24] =
     [251, 251, 249, 243, 222, 195, 164, 137, 102, 71, 46, 25, 13, 8, 4, 2, 2, 2, 2, 2, 2, 2, 2, 2];
 
-/// Classes of the number of primitives in a square, as contexts of whether one stays: one, two, or more.
+/// Classes of the number of Gaussians in a square, as contexts of whether one stays: one, two, or more.
 const COUNT_CLASSES: usize = 3;
 
 /// Binary logarithm of the number of distinct distances from the even split.
@@ -42,7 +42,7 @@ pub(crate) struct Counts {
     even: [Binomial; MAX_TABLE_COUNT as usize + 1],
 }
 
-/// Cumulative distribution of the number of `count` primitives in the lower half.
+/// Cumulative distribution of the number of `count` Gaussians in the lower half.
 #[derive(Debug, Clone, Copy, Default)]
 struct Binomial {
     below: [u32; MAX_TABLE_COUNT as usize + 2],
@@ -50,7 +50,7 @@ struct Binomial {
 }
 
 impl Binomial {
-    /// Each primitive falls into the lower half with a probability of `lower / 2¹⁶`.
+    /// Each Gaussian falls into the lower half with a probability of `lower / 2¹⁶`.
     fn new(count: u32, lower: u32) -> Self {
         let mut chances = [0u32; MAX_TABLE_COUNT as usize + 1];
         chances[0] = 65536;
@@ -91,7 +91,7 @@ impl Cumulative for Binomial {
 impl Counts {
     pub(crate) fn new() -> Self {
         let stay = std::array::from_fn(|context| {
-            // The probability that one of several primitives stays.
+            // The probability that one of several Gaussians stays.
             let (chance, class) = (STAY_CHANCES[context / COUNT_CLASSES], context % COUNT_CLASSES);
             let none = (0..=class).fold(65536, |none, _| none * (256 - chance) >> 8);
             Slot::new((65536 - none).clamp(256, 65280), 6)
@@ -100,13 +100,13 @@ impl Counts {
         Counts { stay, large: Gains::new(), even }
     }
 
-    /// Codes whether a primitive stays in a square.
+    /// Codes whether a Gaussian stays in a square.
     #[inline]
     fn stays<C: Coder>(&mut self, coder: &mut C, context: usize, stays: bool) -> u32 {
         self.stay[context].code(coder, 250, stays.into())
     }
 
-    /// Codes how many of `n` primitives lie in the lower half. `inside` has the number of cells of each half.
+    /// Codes how many of `n` Gaussians lie in the lower half. `inside` has the number of cells of each half.
     fn split<C: Coder>(&mut self, coder: &mut C, n: u32, inside: [u32; 2], lower: u32) -> u32 {
         if n <= MAX_TABLE_COUNT && inside[0] == inside[1] {
             return coder.choose(&self.even[n as usize], lower as i32) as u32;
@@ -115,7 +115,7 @@ impl Counts {
         if n <= MAX_TABLE_COUNT {
             return coder.choose(&Binomial::new(n, share as u32), lower as i32) as u32;
         }
-        // The distance from the even split grows with the square root of the count, and more where primitives cluster.
+        // The distance from the even split grows with the square root of the count, and more where Gaussians cluster.
         let fine = (n.ilog2() + 1).saturating_sub(SPLIT_BITS);
         let (log, count) = (log16(n.into()), (n >> fine) as i32 + 1);
         let expected = (u64::from(n) * share * FINE as u64 >> 16 >> fine) as i64;
@@ -135,13 +135,13 @@ pub(crate) struct Extent {
     pub grid: [u32; 2],
     /// The group's region of the grid.
     pub region: Region,
-    /// Binary logarithm of the largest square in which a primitive can stay, in finest cells.
+    /// Binary logarithm of the largest square in which a Gaussian can stay, in finest cells.
     pub coarsest: u32,
-    /// Binary logarithm of the spacing of primitives in finest cells, in 1/16.
+    /// Binary logarithm of the spacing of Gaussians in finest cells, in 1/16.
     pub spacing: i64,
 }
 
-/// Codes the positions of `count` primitives. They are returned with coarse squares first, and in the order of the
+/// Codes the positions of `count` Gaussians. They are returned with coarse squares first, and in the order of the
 /// halves within a size.
 ///
 /// When writing, the positions must be sorted by [`by_key`]; when reading, there are none.
@@ -165,7 +165,7 @@ pub(crate) fn squares<C: Coder>(
     Ok(out)
 }
 
-/// The order in which positions are written: primitives that stay in a square come before those in its halves.
+/// The order in which positions are written: Gaussians that stay in a square come before those in its halves.
 pub(crate) fn by_key(place: &Place, region: &Region) -> (u64, std::cmp::Reverse<u32>) {
     let below = 2 * place.log.0;
     debug_assert!(below <= region.key_bits());
@@ -212,7 +212,7 @@ impl<C: Coder> Walk<'_, C> {
         self.single(&region, given.first())
     }
 
-    /// Codes how many primitives of a region stay in it, if it is a square in which they can stay.
+    /// Codes how many Gaussians of a region stay in it, if it is a square in which they can stay.
     fn stay(&mut self, region: &Region, count: u32, given: &[Place]) -> u32 {
         let [log, y] = region.log;
         if log != y || log > self.extent.coarsest {
@@ -236,7 +236,7 @@ impl<C: Coder> Walk<'_, C> {
         stay
     }
 
-    /// Codes the position of a primitive that is alone in its region: the size of its square, then which square.
+    /// Codes the position of a Gaussian that is alone in its region: the size of its square, then which square.
     fn single(&mut self, region: &Region, given: Option<&Place>) -> Result<(), Broken> {
         let Region { mut corner, log: [x, y] } = *region;
         let mut log = x.min(y).min(self.extent.coarsest);

@@ -5,10 +5,10 @@ use crate::bitstream::region::Square;
 /// Number of sums in a bucket: fourteen, and two that stay 0 and fill the vector registers.
 pub(crate) const LANES: usize = 16;
 
-/// Position in [`LANES`] of the number of primitives.
+/// Position in [`LANES`] of the number of Gaussians.
 pub(crate) const COUNT: usize = LANES - 1;
 
-/// Number of primitives at which the sums of a bucket are halved, so that later primitives have more weight and sums
+/// Number of Gaussians at which the sums of a bucket are halved, so that later Gaussians have more weight and sums
 /// fit into 32 bits.
 const MAX_BUCKET_COUNT: i32 = 16;
 
@@ -26,7 +26,7 @@ static SHIFTS: [[[[u8; 3]; 3]; 8]; 8] = {
     shifts
 };
 
-/// Buckets of three to five primitives on average, over a region of cells.
+/// Buckets of three to five Gaussians on average, over a region of cells.
 #[derive(Debug)]
 pub(crate) struct Buckets {
     /// Binary logarithms of the sides of a bucket, in cells.
@@ -46,7 +46,7 @@ pub(crate) struct Spot {
 }
 
 impl Buckets {
-    /// Returns empty buckets for `count` primitives in the `extent` cells from `corner` on.
+    /// Returns empty buckets for `count` Gaussians in the `extent` cells from `corner` on.
     pub(crate) fn new(count: u32, corner: [u32; 2], extent: [u32; 2]) -> Self {
         let shape_of = |log: [u32; 2]| [0, 1].map(|k| u64::from(extent[k].div_ceil(1 << log[k])).max(1));
         let mut log = [0; 2];
@@ -69,7 +69,7 @@ impl Buckets {
         Spot { bucket: eighths.map(|e| e >> 3), eighths: eighths.map(|e| e & 7) }
     }
 
-    /// Adds a primitive whose lanes are within ±2¹⁶; the last lane is 1.
+    /// Adds a Gaussian whose lanes are within ±2¹⁶; the last lane is 1.
     #[inline]
     pub(crate) fn add(&mut self, spot: &Spot, lanes: &[i32; LANES]) {
         let [x, y] = spot.bucket;

@@ -73,8 +73,8 @@ pub trait Coder {
     /// Ends the cost accounting of `field`; only a meter implements it.
     fn account(&mut self, _field: &'static str) {}
 
-    /// Ends the cost accounting of the common part, or of a primitive; only a meter implements it.
-    fn primitive(&mut self) {}
+    /// Ends the cost accounting of the common part, or of a Gaussian; only a meter implements it.
+    fn gaussian(&mut self) {}
 
     /// Reports the prediction of the next value; only a recorder implements it.
     #[inline(always)]
@@ -325,17 +325,17 @@ impl Coder for Decoder<'_> {
     }
 }
 
-/// WebAssembly uses one reader for primitives and reports, which keeps the module small.
+/// WebAssembly uses one reader for Gaussians and reports, which keeps the module small.
 pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
 
 /// Forwards decisions and sums their cost.
 #[derive(Debug)]
 pub struct Meter<C> {
     pub coder: C,
-    /// Bits since the last account of a field and of a primitive; `None` if nothing is counted.
+    /// Bits since the last account of a field and of a Gaussian; `None` if nothing is counted.
     bits: Option<[f64; 2]>,
     pub fields: Vec<(&'static str, f64)>,
-    /// Bits of the common part, and of each primitive.
+    /// Bits of the common part, and of each Gaussian.
     pub each: Vec<f32>,
 }
 
@@ -396,7 +396,7 @@ impl<C: Coder> Coder for Meter<C> {
     }
 
     #[inline]
-    fn primitive(&mut self) {
+    fn gaussian(&mut self) {
         let Some([_, bits]) = &mut self.bits else { return };
         self.each.push(std::mem::take(bits) as f32);
     }

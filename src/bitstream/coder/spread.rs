@@ -1,7 +1,7 @@
 //! Codes integers near a predicted value with a logistic distribution of adaptive spread, in integer arithmetic (spec
 //! §8.2).
 //!
-//! A few parameters per class adapt faster than counts of every value, which matters for a few hundred primitives. A
+//! A few parameters per class adapt faster than counts of every value, which matters for a few hundred Gaussians. A
 //! value takes one step of the range coder, where a chain of binary decisions would take five.
 
 use super::range::{Coder, Cumulative};

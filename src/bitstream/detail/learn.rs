@@ -1,7 +1,7 @@
 //! Learns the initial states of a tile's models from their final states in the tiles of many files.
 //!
 //! `SSPLAT_LEARN="a.ssplat b.ssplat …" cargo test --release --lib learn_where_models_begin -- --ignored` writes the
-//! table in this folder and that of the specification. `examples/python/learn_detail.py` makes such files and runs it.
+//! table of the specification. `examples/python/learn_detail.py` makes such files and runs it.
 
 use super::model::Models;
 use super::tile::{Count, read_with};
@@ -14,7 +14,7 @@ use crate::limits::Limits;
 const CONFIDENCE: [(f64, u8); 4] = [(2.0, 0), (30.0, 2), (150.0, 5), (f64::INFINITY, 8)];
 
 #[test]
-#[ignore = "writes the tables"]
+#[ignore = "writes the table"]
 fn learn_where_models_begin() {
     let files = std::env::var("SSPLAT_LEARN").expect("SSPLAT_LEARN names files");
     // The weights of zeros and of ones for each model.
@@ -51,29 +51,11 @@ fn learn_where_models_begin() {
     }
     let one = |s: &[f64; 2]| ((s[1] + 0.4) / (s[0] + s[1] + 0.8) * 256.0) as u8;
     let trust = |s: &[f64; 2]| CONFIDENCE.iter().find(|t| s[0] + s[1] < t.0).expect("the last is infinite").1;
-    let tables = [
-        ("ONE", "Probabilities of a 1, in 1/256.", seen.iter().map(one).collect::<Vec<u8>>()),
-        ("SEEN", "Decisions that each of them counts as.", seen.iter().map(trust).collect()),
-    ];
-    let root = env!("CARGO_MANIFEST_DIR");
-    let lines = |values: &[u8], each: usize, between: &str| {
-        values
-            .chunks(each)
-            .map(|row| row.iter().map(u8::to_string).collect::<Vec<_>>().join(between))
-            .collect::<Vec<_>>()
+    let rows = |values: Vec<u8>| {
+        let numbers: Vec<String> = values.iter().map(u8::to_string).collect();
+        numbers.chunks(32).map(|row| row.join(" ") + "\n").collect::<String>()
     };
-    let plain: Vec<String> = tables.iter().map(|(_, _, values)| lines(values, 32, " ").join("\n")).collect();
-    std::fs::write(format!("{root}/spec/detail-models.txt"), plain.join("\n\n") + "\n").unwrap();
-    let path = format!("{root}/src/bitstream/detail/start.rs");
-    let old = std::fs::read_to_string(&path).unwrap();
-    let mut new = old[..old.find("\n#[rustfmt::skip]").unwrap()].to_owned();
-    for (name, what, values) in &tables {
-        let rows = lines(values, 24, ", ").join(",\n    ");
-        new += &format!(
-            "\n#[rustfmt::skip]\n/// {what}\npub(super) const {name}: [u8; {}] = [\n    {rows},\n];\n",
-            values.len()
-        );
-    }
-    new += &old[old.find("\n#[cfg(test)]").unwrap()..];
-    std::fs::write(path, new).unwrap();
+    let [one, trust] = [rows(seen.iter().map(one).collect()), rows(seen.iter().map(trust).collect())];
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/spec/detail-models.txt");
+    std::fs::write(path, format!("{one}\n{trust}")).unwrap();
 }

@@ -51,7 +51,7 @@ impl Format {
 
 type Key = (u64, u64, u8, u8, u16, [i16; 4]);
 
-/// Returns the non-position fields of a primitive before offsets are subtracted.
+/// Returns the non-position fields of a Gaussian before offsets are subtracted.
 fn values(p: &PackedGaussian, book: Option<&[[i16; 4]]>, channels: usize) -> Result<[i32; 9]> {
     let mut v = [0, 0, p.major.into(), i32::from(p.major - p.minor), p.angle.into(), 0, 0, 0, 0];
     match book {
@@ -145,7 +145,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         tally.part("codebook", start - bytes.left());
     }
     rules.palette(splats)?;
-    let count = header.primitives as usize;
+    let count = header.gaussians as usize;
     if count == 0 {
         return Ok(());
     }
@@ -181,7 +181,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         let corner = [tile % tx << format.widths[0], tile / tx << format.widths[1]].map(|c| c as u32);
         for _ in 0..n {
             let p = read_record(record.next().unwrap_or(&[]), &format, splats, corner)?;
-            rules.primitive(&p)?;
+            rules.gaussian(&p)?;
             let key = format.key(&p, grid);
             if last > Some(key) {
                 return Err(Broken { field: "order of records", value: splats.gaussians.len() as u64 }.into());

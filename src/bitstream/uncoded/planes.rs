@@ -1,4 +1,4 @@
-//! The planes layout: each field of all primitives as byte streams, compressed with zstd (spec §7).
+//! The planes layout: each field of all Gaussians as byte streams, compressed with zstd (spec §7).
 
 use super::frame;
 use super::hilbert::{hilbert, hilbert_point};
@@ -14,7 +14,7 @@ use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
 
-/// Streams in the order of the file, with the number of bytes per primitive in each.
+/// Streams in the order of the file, with the number of bytes per Gaussian in each.
 const FIELDS: [(&str, usize); 10] = [
     ("position", 8),
     ("x refinement", 2),
@@ -28,7 +28,7 @@ const FIELDS: [(&str, usize); 10] = [
     ("colour 3", 3),
 ];
 
-/// Position of a primitive: the index of its cell of the coarsest step along the curve, and the finer bits.
+/// Position of a Gaussian: the index of its cell of the coarsest step along the curve, and the finer bits.
 struct Curve {
     order: u32,
     grid: [u32; 2],
@@ -46,7 +46,7 @@ fn refinement(rules: &Rules, p: &PackedGaussian) -> [u32; 2] {
     rules.logs(p.major, p.minor, p.angle).map(|l| rules.range() - l)
 }
 
-/// Returns the values of a primitive in the order of [`FIELDS`], with the absolute position.
+/// Returns the values of a Gaussian in the order of [`FIELDS`], with the absolute position.
 fn values(p: &PackedGaussian, rules: &Rules, curve: &Curve, book: Option<&[[i16; 4]]>) -> Result<[u64; 10]> {
     let [fx, fy] = refinement(rules, p);
     let mut v = [0; 10];
@@ -141,7 +141,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     }
     tally.part("palette", start - bytes.left());
     rules.palette(splats)?;
-    let count = header.primitives as usize;
+    let count = header.gaussians as usize;
     let mut checksum = Hasher::new();
     let mut rows = vec![[0u64; 10]; count];
     let streams = 6 + colors(splats.codebook.is_some(), channels);
@@ -179,15 +179,15 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     for mut row in rows {
         row[0] = row[0].checked_add(last.map_or(0, |l| l[0])).ok_or(Broken { field: "position", value: row[0] })?;
         if last.is_some_and(|l| l > row) {
-            return Err(Broken { field: "order of primitives", value: splats.gaussians.len() as u64 }.into());
+            return Err(Broken { field: "order of Gaussians", value: splats.gaussians.len() as u64 }.into());
         }
         last = Some(row);
-        splats.gaussians.push(primitive(&row, &rules, &curve, splats.codebook.as_deref())?);
+        splats.gaussians.push(gaussian(&row, &rules, &curve, splats.codebook.as_deref())?);
     }
     Ok(())
 }
 
-fn primitive(v: &[u64; 10], rules: &Rules, curve: &Curve, book: Option<&[[i16; 4]]>) -> Result<PackedGaussian> {
+fn gaussian(v: &[u64; 10], rules: &Rules, curve: &Curve, book: Option<&[[i16; 4]]>) -> Result<PackedGaussian> {
     if v[0] >> (2 * curve.order) != 0 {
         return Err(Broken { field: "position", value: v[0] }.into());
     }
@@ -214,6 +214,6 @@ fn primitive(v: &[u64; 10], rules: &Rules, curve: &Curve, book: Option<&[[i16; 4
         return Err(Broken { field: "refinement", value: v[1] | v[2] }.into());
     }
     (p.x, p.y) = (cx << fx | v[1] as u32, cy << fy | v[2] as u32);
-    rules.primitive(&p)?;
+    rules.gaussian(&p)?;
     Ok(p)
 }

@@ -160,7 +160,7 @@ fn ms_ssim_loss_of_layered(picture: &WholePicture<'_>, layered: &Layered) -> Res
 
 /// Returns 1 minus the MS-SSIM of a picture. Returns `None` if it is too small for MS-SSIM.
 fn ms_ssim_loss(picture: &WholePicture<'_>, splats: &PackedSplats) -> Result<Option<f64>> {
-    let drawn = drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)?;
+    let drawn = drawn(splats, &View::new(splats.width, splats.height), splats.depth)?;
     Ok(metrics::compare(picture.input.pixels, &drawn)?.ms_ssim.map(|similarity| 1.0 - similarity))
 }
 

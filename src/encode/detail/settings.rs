@@ -109,12 +109,6 @@ pub(super) fn preset(tune: Tune) -> Preset {
             powers: [0.0; 2],
             slopes: Slopes(&[Knot { step: 1, slopes: [0, 0], chroma: DetailHead::PLAIN.chroma }]),
         },
-        Tune::Ssim => Preset {
-            head: DetailHead { biases: detail::SSIM_BIASES, ..DetailHead::SEEN },
-            lambda: detail::SSIM_LAMBDA,
-            powers: detail::SSIM_VARIANCE_EXPONENTS,
-            slopes: Slopes(detail::SSIM_SLOPES),
-        },
         Tune::Iq => Preset {
             head: DetailHead { biases: detail::IQ_BIASES, ..DetailHead::SEEN },
             lambda: detail::IQ_LAMBDA,
@@ -205,8 +199,8 @@ mod tests {
         assert_eq!([found[0], found[1], found[3], found[4]], [fine, fine, coarse, coarse]);
         // 202 is the middle of the logarithms of 64 and 640.
         assert!((found[2] - (fine + coarse) / 2.0).abs() < 1e-4, "{found:?}");
-        let others = [over_fixed_base(usual(Tune::Psnr), Tune::Psnr), usual(Tune::Iq), usual(Tune::Ssim)];
-        assert_eq!(others.map(gains), [[1.0; 5]; 3]);
+        let others = [over_fixed_base(usual(Tune::Psnr), Tune::Psnr), usual(Tune::Iq)];
+        assert_eq!(others.map(gains), [[1.0; 5]; 2]);
     }
 
     #[test]

@@ -24,7 +24,6 @@ use super::render::{drawn_like, own_limits};
 use super::report::ReportBuilder;
 use super::report::{EncodeReport, Encoded, Progress};
 use super::skipped::SkipReason;
-use super::trace::Tracer;
 use super::workers::Executor;
 use super::{steps, thumbnail};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
@@ -35,7 +34,7 @@ use crate::constants::quality;
 use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
 use crate::metrics;
-use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Thumbnail, Trace, Tune};
+use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Thumbnail, Tune};
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
@@ -63,7 +62,7 @@ pub(super) fn lossless(
         let problem = "only the coded layout stores pictures without loss".into();
         return Err(Error::Parameter { parameter: Parameter::Other("layout"), problem });
     }
-    let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
+    let mut report = ReportBuilder::new(progress, options.inspector);
     let survey = Survey::of(source, options, &mut report)?;
     let since = report.seconds();
     report.stage_progress("exact layer", 0.0)?;
@@ -131,8 +130,8 @@ fn may_choose(options: &EncodeOptions) -> bool {
         && options.recipe.is_own()
         && options.blend.is_none()
         && options.levels == 1
-        && options.trace == Trace::Off
-        && !matches!(options.target, Target::Primitives(_) | Target::Lossless)
+        && options.inspector.is_none()
+        && !matches!(options.target, Target::Gaussians(_) | Target::Lossless)
 }
 
 /// Returns whether the encoder should try an exact layer for the picture of `source`: its pixels are often equal to their
@@ -170,7 +169,7 @@ pub(super) fn encode(
     executor: Executor<'_>,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    let mut report = ReportBuilder::new(&mut *progress, Tracer::new(options.trace));
+    let mut report = ReportBuilder::new(&mut *progress, options.inspector);
     let clock = Clock::new(options.time);
     let [width, height] = source.size();
     let pixels = source.part(Rect::new(0, 0, width, height))?;
@@ -448,7 +447,7 @@ fn finish(
         _ => None,
     };
     let report = EncodeReport {
-        primitives: splats.gaussians.len(),
+        gaussians: splats.gaussians.len(),
         effort: options.effort,
         psnr,
         float_psnr: psnr,

@@ -33,7 +33,7 @@ pub(super) fn picture_size(options: &EncodeOptions, samples: f64, fixed: u64) ->
         }
         Target::Ratio(ratio) => Size::Bytes(((samples / ratio).floor() as u64).saturating_sub(metadata)),
         Target::Bytes(bytes) => Size::Bytes(bytes.saturating_sub(metadata)),
-        Target::Primitives(_) | Target::Psnr(_) | Target::Lossless => Size::Free,
+        Target::Gaussians(_) | Target::Psnr(_) | Target::Lossless => Size::Free,
         #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Size::Free,
     }
@@ -90,7 +90,7 @@ fn picture(prepared: &mut Prepared<'_>, encode_at: EncodeAt) -> Result<(Outcome,
                 }
             }
         }
-        Target::Primitives(count) => gaussians::encode(prepared, &FitRequest::of_count(count as usize))?,
+        Target::Gaussians(count) => gaussians::encode(prepared, &FitRequest::of_count(count as usize))?,
         Target::Psnr(psnr) => psnr::to_psnr(prepared, psnr, encode_at)?,
         Target::Lossless => unreachable!("a file without loss needs no fit"),
         #[cfg(feature = "quality-hook")]
@@ -114,7 +114,7 @@ fn metadata_bytes(options: &EncodeOptions) -> u64 {
 fn of_one_color(prepared: &mut Prepared<'_>, size: Size) -> Result<Option<Outcome>> {
     let options = prepared.state().options;
     let is_wanted =
-        constant::is_possible(options, prepared.state().blank.blend) && options.target != Target::Primitives(0);
+        constant::is_possible(options, prepared.state().blank.blend) && options.target != Target::Gaussians(0);
     if !is_wanted {
         return Ok(None);
     }

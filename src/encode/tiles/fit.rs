@@ -8,7 +8,7 @@ use super::floats::{self, OnProgress};
 use super::global::{GlobalContext, Survey, TileSettings};
 use super::grid::{Grid, Shift, UNIT, Window};
 use super::mosaic::{Mosaic, Placed, TileResult};
-use super::picture::{TiledPicture, squared_error};
+use super::picture::TiledPicture;
 use super::shrunk::Shrunk;
 use super::task::FloatWork;
 use super::wire::{self, PendingTile, WireFormat};
@@ -227,7 +227,6 @@ impl TiledFit<'_, '_, '_> {
             placed.push((window.core, result.own));
         }
         mosaic.replace(placed);
-        self.trace_floats("fit", mosaic, error)?;
         let have = mosaic.count();
         let wanted = match self.size {
             Size::Free => self.global.settings.count,
@@ -242,7 +241,6 @@ impl TiledFit<'_, '_, '_> {
             last = *to;
             let stretch = ProgressRange::part("join", pass, floats::JOINED.len());
             (_, error) = self.pass((stretch, *shift), FloatWork::Join(pass), mosaic)?;
-            self.trace_floats("join", mosaic, error)?;
         }
         self.picture.state.report.stage("fit", clock);
         Ok(error)
@@ -261,33 +259,6 @@ impl TiledFit<'_, '_, '_> {
     /// Returns the number of windows that the encoder's own threads process at a time.
     fn concurrent(&self) -> usize {
         if 2 * self.grid.half < DEFAULT_TILE_SIDE { 1 } else { MAX_CONCURRENT }
-    }
-
-    /// Adds a point to the trace: the floats in `mosaic`, whose squared error is `error`, rounded to the nearest
-    /// integers.
-    fn trace_floats(&mut self, stage: &'static str, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<()> {
-        if !self.picture.state.report.tracer.is_on() {
-            return Ok(());
-        }
-        let PackedSplats { steps, background, .. } = self.global.blank;
-        let all: Vec<Primitive> = mosaic.all().map(|p| p.primitive).collect();
-        let quantizer = self.set_steps(&all, error);
-        let gaussians = all.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
-        let splats = PackedSplats { gaussians, ..self.global.blank.clone() };
-        (self.global.blank.steps, self.global.blank.background) = (steps, background);
-        self.trace(stage, &splats)
-    }
-
-    /// Adds a point to the trace if tracing is on.
-    pub(super) fn trace(&mut self, stage: &'static str, splats: &PackedSplats) -> Result<()> {
-        if !self.picture.state.report.tracer.is_on() {
-            return Ok(());
-        }
-        let start = Instant::now();
-        let error = squared_error(self.global.source, &self.grid.windows(), splats, &mut |_| Ok(()))?;
-        let psnr = decibels(error, samples_of(splats));
-        self.picture.state.report.tracer.add(stage, psnr, splats.gaussians.len(), start);
-        Ok(())
     }
 
     /// Returns the average number of bytes per primitive in the file.

@@ -11,7 +11,6 @@ use crate::encode::device::Choice;
 use crate::error::Result;
 use crate::fit::model::objective::masking::{self, Means};
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::structure;
 use crate::fit::model::placing::sample;
 use crate::fit::model::problem::Scene;
 use crate::fit::plan::Plan;
@@ -57,7 +56,6 @@ pub(super) struct GlobalContext<'a> {
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Weights {
     Alike,
-    Structure(f64),
     Masking(Means),
 }
 
@@ -66,7 +64,6 @@ impl Weights {
     pub(super) fn tune(&self) -> Tune {
         match self {
             Weights::Alike => Tune::Psnr,
-            Weights::Structure(_) => Tune::Ssim,
             Weights::Masking(_) => Tune::Iq,
         }
     }
@@ -97,7 +94,6 @@ impl Survey {
         let room = area / settings.count.max(1) as f64;
         let mut weights = match tune {
             Tune::Psnr => Weights::Alike,
-            Tune::Ssim => Weights::Structure(0.0),
             Tune::Iq => Weights::Masking(Means::default()),
         };
         let (mut mean, mut detail) = ([0.0f64; 4], 0.0);
@@ -109,7 +105,6 @@ impl Survey {
             detail += sample::detail(&planes, room);
             match &mut weights {
                 Weights::Alike => {}
-                Weights::Structure(mean) => *mean += share * structure::mean_of_part(&planes, room as f32),
                 Weights::Masking(means) => {
                     let of_part = masking::means_of_part(&planes, room as f32);
                     means.iter_mut().zip(of_part).for_each(|(m, v)| *m += share * v);
@@ -133,7 +128,6 @@ impl GlobalContext<'_> {
         let room = self.room() as f32;
         planes.amplitude = match &self.weights {
             Weights::Alike => Vec::new(),
-            Weights::Structure(mean) => structure::amplitudes_of_part(&planes, room, *mean),
             Weights::Masking(means) => {
                 planes.channel_amplitude = masking::channel_amplitude(planes.channels);
                 masking::amplitudes_of_part(&planes, room, means)

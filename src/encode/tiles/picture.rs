@@ -17,14 +17,12 @@ use crate::encode::input::{self, may_leave_out};
 use crate::encode::render::drawn_part;
 use crate::encode::report::ReportBuilder;
 use crate::encode::skipped::SkipReason;
-use crate::encode::state::{EncodeState, decibels};
+use crate::encode::state::EncodeState;
 use crate::encode::stored_error::error_between;
-use crate::encode::trace::Tracer;
 use crate::encode::workers::Executor;
 use crate::error::{Error, Result};
 use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Blend;
-use crate::instant::Instant;
 use crate::options::{Detail, EncodeOptions};
 use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
@@ -60,7 +58,7 @@ pub(in crate::encode) fn prepare<T>(
     encode: impl FnOnce(TiledPicture<'_>) -> Result<T>,
 ) -> Result<T> {
     check(options)?;
-    let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
+    let mut report = ReportBuilder::new(progress, options.inspector);
     let clock = Clock::new(options.time);
     let device = &Choice::for_tiles(options, source.size(), &executor)?;
     let start = report.seconds();
@@ -164,15 +162,6 @@ impl TiledPicture<'_> {
         let error = squared_error(source, &self.windows, splats, on_progress)?;
         report.stage("measure", clock);
         Ok(error)
-    }
-
-    /// Adds the stored picture, whose squared error over the samples of all channels is `error`, to the trace.
-    pub(in crate::encode) fn trace_end(&mut self, splats: &PackedSplats, error: f64) {
-        if self.state.report.tracer.is_on() {
-            let start = Instant::now();
-            let psnr = decibels(error, self.state.samples());
-            self.state.report.tracer.add("written", psnr, splats.gaussians.len(), start);
-        }
     }
 
     /// Scores large pictures tile by tile. Returns the mean of the scores, weighted by the number of pixels.

@@ -161,7 +161,6 @@ impl<'m> IntegerSet for TiledIntegers<'_, 'm, '_, '_, '_> {
         // The number of primitives under a detail layer is not corrected, so their costs are not measured.
         self.candidates = (!self.fit.global.settings.is_base).then_some(candidates);
         self.changed(Some(error));
-        self.fit.trace("finish", &self.splats())?;
         let length = self.bytes()?;
         // The length of the file is not known between a correction and a sweep.
         Ok(before.map(|(e, l)| e - error + 8.0 * lambda * (l as f64 - length as f64)))

@@ -50,7 +50,7 @@ const FAR: f32 = 2_097_152.0;
 /// [`Error::Parameter`] with the name `task` if the bytes are not a task of this version of the crate;
 /// [`Error::Cancelled`] if `progress` returns [`ControlFlow::Break`].
 pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Vec<u8>> {
-    let mut on_progress = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
+    let mut on_progress = |done: f32| match progress(&Progress { stage: "tile", done }) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Cancelled),
     };
@@ -93,7 +93,7 @@ fn run_work<T: WireFormat>(
     let device = Choice::cpu();
     let global = read_context(&mut bytes, blank, (&pixels, &device))?;
     let bounds = PrimitiveBounds::new(&global, window);
-    let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
+    let counts = [bytes.u32("Gaussians")?, bytes.u32("other Gaussians")?];
     let mut own = Vec::new();
     for _ in 0..counts[0] {
         let primitive = T::read(&mut bytes, &bounds)?;
@@ -156,12 +156,12 @@ impl PendingTile {
             return Err(Error::Parameter { parameter: Parameter::Answer, problem });
         }
         let error = read_f64(&mut bytes, "error")?;
-        let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
+        let counts = [bytes.u32("Gaussians")?, bytes.u32("other Gaussians")?];
         let bounds = PrimitiveBounds::new(global, &self.window);
         let mut placed = [Vec::new(), Vec::new()];
         for (placed, count) in placed.iter_mut().zip(counts) {
             if count as usize > self.max_primitives {
-                return Err(refused("number of primitives", count.into()));
+                return Err(refused("number of Gaussians", count.into()));
             }
             for _ in 0..count {
                 let cost = bytes.f32("cost")?;
@@ -220,8 +220,7 @@ pub(super) fn task<T: WireFormat>(
     seconds.iter().for_each(|v| out.extend(v.to_le_bytes()));
     let (tag, means) = match &global.weights {
         Weights::Alike => (0, &[][..]),
-        Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
-        Weights::Masking(means) => (2, &means[..]),
+        Weights::Masking(means) => (1, &means[..]),
     };
     out.push(tag);
     means.iter().chain([&global.detail]).for_each(|v| out.extend(v.to_le_bytes()));
@@ -232,7 +231,7 @@ pub(super) fn task<T: WireFormat>(
 
 fn put_counts(out: &mut Vec<u8>, counts: [usize; 2]) -> Result<()> {
     for count in counts {
-        let count = u32::try_from(count).map_err(|_| refused("primitives", count as u64))?;
+        let count = u32::try_from(count).map_err(|_| refused("Gaussians", count as u64))?;
         out.extend(count.to_le_bytes());
     }
     Ok(())
@@ -333,10 +332,10 @@ fn read_pixels(bytes: &mut Bytes<'_>, blank: &PackedSplats, area: Area) -> Resul
 }
 
 fn read_blank(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
-    let length = bytes.u32("file without primitives")?;
-    let blank = bitstream::read(bytes.take(length.into(), "file without primitives")?, &Limits::default())?;
+    let length = bytes.u32("file without Gaussians")?;
+    let blank = bitstream::read(bytes.take(length.into(), "file without Gaussians")?, &Limits::default())?;
     if !blank.gaussians.is_empty() {
-        return Err(refused("number of primitives", blank.gaussians.len() as u64));
+        return Err(refused("number of Gaussians", blank.gaussians.len() as u64));
     }
     // The corners of windows must be multiples of the coarsest step.
     if blank.steps.coarsest > UNIT.ilog2() as i8 {
@@ -358,9 +357,9 @@ fn read_context<'a>(
     if !(1..=MAX_EFFORT).contains(&effort) {
         return Err(refused("effort", effort.into()));
     }
-    let count = u64::from_le_bytes(bytes.array("number of primitives")?);
+    let count = u64::from_le_bytes(bytes.array("number of Gaussians")?);
     if count > MAX_PRIMITIVES {
-        return Err(refused("number of primitives", count));
+        return Err(refused("number of Gaussians", count));
     }
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
@@ -374,8 +373,7 @@ fn read_context<'a>(
     let seconds = if is_timed { Some(read_f64(bytes, "seconds")?) } else { None };
     let weights = match bytes.array("weights")? {
         [0] => Weights::Alike,
-        [1] => Weights::Structure(read_f64(bytes, "weights")?),
-        [2] => {
+        [1] => {
             let mut means = Means::default();
             for mean in &mut means {
                 *mean = read_f64(bytes, "weights")?;
@@ -520,7 +518,7 @@ impl WireFormat for PackedGaussian {
             *v = i16::from_le_bytes(bytes.array("colour")?);
         }
         let p = PackedGaussian { x, y, major, minor, angle, color };
-        bounds.global.primitive(&p)?;
+        bounds.global.gaussian(&p)?;
         Ok(p)
     }
 

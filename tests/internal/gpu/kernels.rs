@@ -537,7 +537,7 @@ pub(super) mod stages {
     fn survey_uniforms(problem: &Problem<'_>, rows: RowSet, count: usize) -> Uniforms {
         let Problem { scene, target } = problem;
         let weighted = u32::from(!target.amplitude.is_empty());
-        let view = crate::raster::View::of_size(scene.width, scene.height);
+        let view = crate::raster::View::new(scene.width, scene.height);
         let cells_y = rows.count(scene.height) as u32;
         let base = Uniforms {
             primitives: count as u32,
@@ -644,7 +644,7 @@ pub(super) mod stages {
     #[test]
     fn halving_and_moving_agree_with_their_twins() {
         let cells: Vec<[f32; 4]> = (0..35).map(|i| [i as f32, 1.0, -(i as f32), 0.5]).collect();
-        let view = crate::raster::View::of_size(7, 5);
+        let view = crate::raster::View::new(7, 5);
         let u = Uniforms {
             cells_x: 7,
             cells_y: 5,
@@ -738,7 +738,7 @@ pub(super) mod stages {
         // The whole picture; 8 × 4 samples per pixel; samples 1.5 and 2.3 pixels apart. Each with and without a layer.
         let sizes = [(width, height), (6, 11), (4, 2)];
         for ((width, height), detail) in sizes.into_iter().flat_map(|size| [(size, 0), (size, 1)]) {
-            let view = crate::raster::View::full(&picture).resized(width, height).unwrap();
+            let view = crate::raster::View::new(picture.width, picture.height).resized(width, height).unwrap();
             let u = Uniforms {
                 stride: width,
                 capacity: 1 << 16,
@@ -779,7 +779,7 @@ pub(super) mod stages {
             background: c.scene.background,
             list: gaussians,
         };
-        let view = crate::raster::View::full(&picture);
+        let view = crate::raster::View::new(picture.width, picture.height);
         let drawn = crate::raster::reference::sample(&picture, &view);
         drawn.iter().enumerate().map(|(i, v)| 0.5 * (v - f64::from(c.pixels.value(i))).powi(2)).sum()
     }

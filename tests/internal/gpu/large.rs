@@ -140,7 +140,7 @@ fn gaussians(fitter: &mut Fitter, scene: &Scene) -> Gaussians {
 /// Renders the first `rows` rows of `picture` and compares some of them with the CPU.
 fn assert_first_rows_are_the_cpus(device: &Device, picture: Gaussians, rows: u32) {
     let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
-    let view = View::full(&picture).crop(Rect::new(0, 0, WIDTH, rows)).unwrap();
+    let view = View::new(picture.width, picture.height).crop(Rect::new(0, 0, WIDTH, rows)).unwrap();
     let clock = Instant::now();
     let Samples::U8(drawn) = renderer.render(&view, Depth::Eight).unwrap().into_samples() else { panic!("8 bits") };
     eprintln!("drawing {rows} rows, bands of {} rows: {:.1} s", renderer.bands().0, clock.elapsed().as_secs_f64());

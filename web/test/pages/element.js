@@ -155,11 +155,11 @@ export async function test() {
 
   // Its levels are shown as soon as they are complete, the coarse one first, even if only three bytes have arrived since the last rendering
   // and no more follow.
-  const levels = await inPieces("groups-levels", [180, 183]), { levels: [coarse, finer], primitives } = await info(levels.bytes)
+  const levels = await inPieces("groups-levels", [180, 183]), { levels: [coarse, finer], gaussians } = await info(levels.bytes)
   for (const [end, there] of [[180, coarse], [183, coarse + finer]]) {
     const expected = await decode(levels.bytes.slice(0, end), { partial: true })
-    check(expected.missing == primitives - there, `of ${end} bytes ${expected.missing} primitives are missing`)
-    check(await until(() => seen(levels.element) && same(pixels(levels.element), expected.data)), `a level of ${there} primitives is not seen`)
+    check(expected.missing == gaussians - there, `of ${end} bytes ${expected.missing} Gaussians are missing`)
+    check(await until(() => seen(levels.element) && same(pixels(levels.element), expected.data)), `a level of ${there} Gaussians is not seen`)
     check(!levels.element.complete, "a level is the whole file")
     levels.more()
   }

@@ -39,7 +39,7 @@ struct Desk {
     encoder: Encoder,
     /// The file or an error's words; the stages of the encode; what was left out.
     pieces: [Vec<u8>; 3],
-    /// Primitives, PSNR, quality, seconds.
+    /// Gaussians, PSNR, quality, seconds.
     numbers: [f64; 4],
 }
 
@@ -72,11 +72,10 @@ pub extern "C" fn set(which: u32, value: f64) -> u32 {
             1 => target(Target::Bytes(value as u64)),
             2 => target(Target::Psnr(value)),
             3 => target(Target::Quality(value)),
-            4 => target(Target::Primitives(value as u32)),
+            4 => target(Target::Gaussians(value as u32)),
             5 => encoder.effort(value as u8),
             6 => encoder.tune(match value as u32 {
                 0 => Tune::Psnr,
-                1 => Tune::Ssim,
                 _ => Tune::Iq,
             }),
             7 => match Duration::try_from_secs_f64(value) {
@@ -205,7 +204,7 @@ impl Desk {
         }
         let [stages, left_out] = lines.map(String::into_bytes);
         self.pieces = [encoded.bytes, stages, left_out];
-        self.numbers = [report.primitives as f64, report.psnr, report.quality.unwrap_or(f64::NAN), report.seconds];
+        self.numbers = [report.gaussians as f64, report.psnr, report.quality.unwrap_or(f64::NAN), report.seconds];
         Ok(())
     }
 }

@@ -26,8 +26,8 @@ struct Desk {
 }
 
 /// Answer of a call. The pieces are: pixels, Gaussians, JSON, a thumbnail or a text; the ICC profile; the EXIF block;
-/// the bits of each Gaussian; the cells of the exact layer; the code points. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
-/// counts it, missing primitives, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is
+/// the bits of each Gaussian; the cells of the exact layer; the code points. The numbers are: width, height, channels, depth in bits, Gaussians, orientation as EXIF
+/// counts it, missing Gaussians, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is
 /// wrong.
 #[derive(Default)]
 struct Answer {
@@ -61,7 +61,7 @@ pub extern "C" fn limit(which: u32, value: f64) -> u32 {
         match which {
             0 => limits.width = value as u32,
             1 => limits.height = value as u32,
-            2 => limits.primitives = value as u64,
+            2 => limits.gaussians = value as u64,
             3 => limits.tile_pairs = value as u64,
             4 => limits.work = value as u64,
             5 => limits.overlap = value as u64,
@@ -101,7 +101,7 @@ pub extern "C" fn header() -> u32 {
         let (width, height, sections) = (header.width, header.height, header.sections);
         let mut answer = Answer::default();
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
-        answer.numbers = [width, height, channels, depth, header.primitives, 1, 0, 0, 0];
+        answer.numbers = [width, height, channels, depth, header.gaussians, 1, 0, 0, 0];
         if sections == Sections::Present {
             let mut metadata = opening.metadata()?;
             answer.pieces[0] = metadata.thumbnail.take().unwrap_or_default();
@@ -154,12 +154,12 @@ pub extern "C" fn decode(
             allowed,
         })?;
         let opening = open(input, &rest)?;
-        let primitives = opening.header().primitives;
+        let count = opening.header().gaussians;
         let opened = opening.damage(if partial == 0 { Damage::Refuse } else { Damage::Accept }).read_for(&view)?;
         let mut samples = zeros(pixels as usize * channels)?;
         opened.render_into(&view, SamplesMut::U8(&mut samples))?;
         let missing = opened.missing();
-        let lost = [missing.primitives, missing.tiles, u32::from(missing.damaged)];
+        let lost = [missing.gaussians, missing.tiles, u32::from(missing.damaged)];
         let mut answer = Answer::default();
         describe(opened.into_metadata(), &mut answer);
         let rgba = match channels {
@@ -173,7 +173,7 @@ pub extern "C" fn decode(
         let bits = 8 * depth.bytes() as u32;
         let [gaussians, tiles, damaged] = lost;
         let [columns, rows] = [view.width(), view.height()];
-        answer.numbers = [columns, rows, channels as u32, bits, primitives, orientation, gaussians, tiles, damaged];
+        answer.numbers = [columns, rows, channels as u32, bits, count, orientation, gaussians, tiles, damaged];
         Ok(answer)
     })
 }
@@ -185,7 +185,7 @@ pub extern "C" fn gaussians() -> u32 {
     answer(|input, limits| {
         let opening = open(input, limits)?;
         let header = opening.header();
-        let (width, height, primitives) = (header.width, header.height, header.primitives);
+        let (width, height, gaussians) = (header.width, header.height, header.gaussians);
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
         let opened = opening.read()?;
         let stored = opened.gaussians()?;
@@ -199,7 +199,7 @@ pub extern "C" fn gaussians() -> u32 {
         write(background, &stored.background);
         let mut answer = Answer::default();
         answer.pieces[0] = bytes;
-        answer.numbers = [width, height, channels, depth, primitives, 1, 0, 0, 0];
+        answer.numbers = [width, height, channels, depth, gaussians, 1, 0, 0, 0];
         Ok(answer)
     })
 }
@@ -222,7 +222,7 @@ pub extern "C" fn info() -> u32 {
             ("height", u64::from(header.height)),
             ("channels", header.channels.count() as u64),
             ("depth", 8 * header.depth.bytes() as u64),
-            ("primitives", u64::from(header.primitives)),
+            ("gaussians", u64::from(header.gaussians)),
             ("groups", u64::from(report.groups)),
             ("codebook", splats.codebook.as_ref().map_or(0, Vec::len) as u64),
             ("bytes", report.bytes),

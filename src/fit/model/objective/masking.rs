@@ -8,7 +8,6 @@
 use crate::constants::fit;
 use crate::fit::model::objective::blur::Cells;
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::structure::normalized;
 use crate::fit::model::placing::sample::halve;
 use crate::gaussian::Channels;
 use crate::parallel;
@@ -116,7 +115,7 @@ fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32, scratch: &
     let mut weights = soften(plane.iter().map(|v| v * v).collect(), &mut scratch.spare);
     let sums = parallel::map_chunks(&mut weights, width, |y, out| {
         for (w, m) in out.iter_mut().zip(&means[y * width..]) {
-            *w = quick_powf(2.0 * (*w - m * m).max(0.0) + fit::STRUCTURE_VARIANCE_FLOOR, -power);
+            *w = quick_powf(2.0 * (*w - m * m).max(0.0) + fit::VARIANCE_FLOOR, -power);
         }
         out.iter().map(|&w| f64::from(w)).sum::<f64>()
     });
@@ -139,6 +138,24 @@ pub(crate) fn upsampled(plane: &[f32], [w, h]: [usize; 2], [width, height]: [usi
             let [l, r] = near(x, w);
             let [a, b] = rows.map(|row| 0.75 * row[l] + 0.25 * row[r]);
             *o = 0.75 * a + 0.25 * b;
+        }
+    });
+    out
+}
+
+/// Converts one weight per pixel to amplitudes: square roots with a mean square of 1. `mean` replaces the mean of
+/// `weights`.
+pub(crate) fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f32> {
+    let (width, height) = (target.width as usize, target.height as usize);
+    let own = || {
+        let sums = parallel::map(height, |y| weights[y * width..][..width].iter().map(|&w| f64::from(w)).sum::<f64>());
+        (sums.iter().sum::<f64>() / (width * height) as f64) as f32
+    };
+    let mean = mean.unwrap_or_else(own);
+    let mut out = vec![0.0; target.stride * height];
+    parallel::map_chunks(&mut out, target.stride, |y, out| {
+        for (o, w) in out.iter_mut().zip(&weights[y * width..][..width]) {
+            *o = (w / mean).clamp(fit::MAX_WEIGHT.recip(), fit::MAX_WEIGHT).sqrt();
         }
     });
     out

@@ -6,4 +6,3 @@ pub mod planes;
 pub(crate) mod reduced;
 pub(crate) mod reweigh;
 pub mod rows;
-pub mod structure;

@@ -11,9 +11,8 @@
 use crate::constants::fit;
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::objective::blur::blur;
-use crate::fit::model::objective::masking::{pixels_each, upsampled};
+use crate::fit::model::objective::masking::{normalized, pixels_each, upsampled};
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::structure::normalized;
 use crate::fit::model::placing::sample::halve;
 use crate::parallel;
 use crate::strict_math::StrictMath;
