@@ -5,7 +5,6 @@ use std::path::Path;
 
 use image::metadata::Orientation;
 use mp4parse::{AvifContext, ImageRotation, ParseStrictness, read_avif};
-use re_rav1d::dav1d::pixel::MatrixCoefficients;
 use re_rav1d::dav1d::{Decoder, Error, Picture, Settings};
 
 use crate::failure::{Failure, Kind};
@@ -34,6 +33,7 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     let orientation = orientation(&file, &meta).map_err(&broken)?;
     let decoded = |data: Option<&[u8]>| {
         first_picture(data.unwrap_or_default()).map_err(|e| match e {
+            // The type of this error is private to re_rav1d.
             Error::UnknownError(e) if format!("{e:?}") == "ERANGE" => {
                 failure(Kind::Limit, &format!("has more than {MAX_PIXELS} pixels"))
             }
@@ -53,7 +53,8 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     let stated = file.nclx_colour_information_ptr().and_then(|_| code_points(&meta));
     let (matrix, is_full_range) = match stated {
         Some([_, _, matrix, range]) => (matrix, range != 0),
-        None => (matrix_of(&colors), ycbcr::is_full_range(&colors)),
+        // The numbers of AV1 are those of ITU-T H.273.
+        None => (colors.matrix_coefficients() as u8, ycbcr::is_full_range(&colors)),
     };
     let planes =
         Ycbcr { colors, alpha, matrix, is_full_range, is_premultiplied: has_alpha && file.premultiplied_alpha };
@@ -137,19 +138,4 @@ fn first_picture(data: &[u8]) -> Result<Picture, Error> {
     let mut decoder = Decoder::with_settings(&settings)?;
     decoder.send_data(data.to_vec(), None, None, None)?;
     decoder.get_picture()
-}
-
-/// Returns the matrix that AV1 states, by ITU-T H.273; 255 for those that [`ycbcr`] does not know.
-fn matrix_of(picture: &Picture) -> u8 {
-    match picture.matrix_coefficients() {
-        MatrixCoefficients::Identity => 0,
-        MatrixCoefficients::BT709 => 1,
-        MatrixCoefficients::Unspecified => 2,
-        MatrixCoefficients::BT470M => 4,
-        MatrixCoefficients::BT470BG | MatrixCoefficients::ST170M => 6,
-        MatrixCoefficients::ST240M => 7,
-        MatrixCoefficients::YCgCo => 8,
-        MatrixCoefficients::BT2020NonConstantLuminance => 9,
-        _ => 255,
-    }
 }

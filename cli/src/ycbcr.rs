@@ -38,15 +38,16 @@ impl Ycbcr {
     /// [`Error`].
     pub fn to_picture(&self) -> Result<DynamicImage, Error> {
         let is_grey = self.colors.pixel_layout() == PixelLayout::I400;
+        let (byte, word) = (|v: f32| (v * 255.0 + 0.5) as u8, |v: f32| (v * 65535.0 + 0.5) as u16);
         Ok(match (is_grey, self.alpha.is_some(), self.colors.bit_depth() > 8) {
-            (true, false, false) => DynamicImage::ImageLuma8(self.buffer(|v| (v * 255.0 + 0.5) as u8)?),
-            (true, true, false) => DynamicImage::ImageLumaA8(self.buffer(|v| (v * 255.0 + 0.5) as u8)?),
-            (false, false, false) => DynamicImage::ImageRgb8(self.buffer(|v| (v * 255.0 + 0.5) as u8)?),
-            (false, true, false) => DynamicImage::ImageRgba8(self.buffer(|v| (v * 255.0 + 0.5) as u8)?),
-            (true, false, true) => DynamicImage::ImageLuma16(self.buffer(|v| (v * 65535.0 + 0.5) as u16)?),
-            (true, true, true) => DynamicImage::ImageLumaA16(self.buffer(|v| (v * 65535.0 + 0.5) as u16)?),
-            (false, false, true) => DynamicImage::ImageRgb16(self.buffer(|v| (v * 65535.0 + 0.5) as u16)?),
-            (false, true, true) => DynamicImage::ImageRgba16(self.buffer(|v| (v * 65535.0 + 0.5) as u16)?),
+            (true, false, false) => DynamicImage::ImageLuma8(self.buffer(byte)?),
+            (true, true, false) => DynamicImage::ImageLumaA8(self.buffer(byte)?),
+            (false, false, false) => DynamicImage::ImageRgb8(self.buffer(byte)?),
+            (false, true, false) => DynamicImage::ImageRgba8(self.buffer(byte)?),
+            (true, false, true) => DynamicImage::ImageLuma16(self.buffer(word)?),
+            (true, true, true) => DynamicImage::ImageLumaA16(self.buffer(word)?),
+            (false, false, true) => DynamicImage::ImageRgb16(self.buffer(word)?),
+            (false, true, true) => DynamicImage::ImageRgba16(self.buffer(word)?),
         })
     }
 
