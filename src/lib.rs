@@ -26,7 +26,7 @@
 //!
 //! let encoded = Encoder::new().bytes(120).effort(1).encode(&pixels)?;
 //! assert!(encoded.bytes.len() <= 120);
-//! println!("{} Gaussians, {:.2} dB", encoded.report.Gaussians, encoded.report.psnr);
+//! println!("{} Gaussians, {:.2} dB", encoded.report.gaussians, encoded.report.psnr);
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!

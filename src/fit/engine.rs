@@ -76,6 +76,7 @@ pub trait Snapshot {
     #[allow(dead_code, reason = "only a fit on a GPU is inspected this way")]
     fn error(&mut self) -> Result<f64>;
     /// Returns all primitives, projected, and the scene that they belong to.
+    #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools bring inspectors"))]
     fn drawing(&mut self) -> Result<(Scene, Vec<Projected>)>;
 }
 
@@ -101,6 +102,7 @@ impl PartialEq for Inspector {
 }
 
 /// When and where an encode is inspected.
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools bring inspectors"))]
 pub struct Moment<'a> {
     /// Name of the stage, as in [`Progress`](crate::Progress), or "written".
     pub stage: &'static str,
