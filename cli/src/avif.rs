@@ -3,6 +3,7 @@
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use exif::Error as ExifError;
 use image::metadata::Orientation;
 use mp4parse::{AvifContext, ImageRotation, ParseStrictness, read_avif};
 use re_rav1d::dav1d::{Decoder, Error, Picture, Settings};
@@ -10,7 +11,7 @@ use re_rav1d::dav1d::{Decoder, Error, Picture, Settings};
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
 use crate::limits::beyond_memory;
-use crate::source::Decoded;
+use crate::source::{self, Decoded};
 use crate::ycbcr::{self, Ycbcr};
 
 /// Maximum number of pixels: up to 16 bytes for each of them are in memory at a time.
@@ -66,7 +67,34 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     })?;
     let icc = file.icc_colour_information().transpose().map_err(|e| broken(format!("{e:?}")))?.map(<[u8]>::to_vec);
     let code_points = stated.map(|[primaries, transfer, ..]| [primaries, transfer, 0, 1]);
-    Ok(Decoded { picture, orientation, code_points, icc })
+    let mut notes = Vec::new();
+    let exif = exif(input).unwrap_or_else(|why| {
+        notes.push(format!("its EXIF block is damaged and left out: {why}"));
+        None
+    });
+    let states = |what: &[u8]| meta.windows(what.len()).any(|bytes| bytes == what);
+    if states(b"application/rdf+xml\0") {
+        notes.push("its XMP block is left out".into());
+    }
+    // The item that a gain map is applied by (ISO 23008-12).
+    if states(b"tmap") {
+        notes.push("its gain map is left out: the picture has standard dynamic range".into());
+    }
+    Ok(Decoded { picture, orientation, code_points, icc, exif, notes })
+}
+
+/// Returns the EXIF block, without the orientation, which `irot` and `imir` state instead (MIAF, 7.3.10).
+fn exif(input: &mut Input) -> Result<Option<Vec<u8>>, ExifError> {
+    input.rewind()?;
+    match exif::Reader::new().read_from_container(input) {
+        Ok(found) => {
+            let mut block = Some(found.buf().to_vec());
+            source::forget_orientation(&mut block);
+            Ok(block)
+        }
+        Err(ExifError::NotFound(_)) => Ok(None),
+        Err(e) => Err(e),
+    }
 }
 
 /// Returns the start of the `meta` box, in which mp4parse leaves some properties behind pointers.

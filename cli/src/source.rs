@@ -134,6 +134,9 @@ pub struct Decoded {
     /// ITU-T H.273.
     pub code_points: Option<[u8; 4]>,
     pub icc: Option<Vec<u8>>,
+    pub exif: Option<Vec<u8>>,
+    /// What is left out.
+    pub notes: Vec<String>,
 }
 
 /// Decodes a picture of another format than ssplat.
@@ -193,7 +196,8 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
             code_points = found.code_points.map(|points| colour::of_cicp(points, !found.picture.color().has_color()));
         }
         picture = found.picture;
-        (exif, orientation) = (None, found.orientation);
+        notes.extend(found.notes);
+        (exif, orientation) = (found.exif, found.orientation);
         icc = stated.with_profile(found.icc.filter(|_| reading.profiles == Profiles::Read));
     } else if let Some(found) = tiff::read(path, &mut input)? {
         picture = found.picture;

@@ -1,10 +1,11 @@
-//! AVIF as an input: pixels of 8 and 10 bits, subsampled chroma, both ranges, alpha, rotation, reflection and profiles, and
-//! files that were damaged.
+//! AVIF as an input: pixels of 8 and 10 bits, subsampled chroma, both ranges, alpha, rotation, reflection, profiles and
+//! metadata, and files that were damaged.
 //!
 //! The files in `avif/` were made of a picture of ramps, 64 × 48 pixels, with `-s 8 -y 444 --min 0 --max 10`: of 8 bits
 //! (`rgb`, `rgba`), with `-d 10` (`rgb-10`, `rgba-10`), `-y 400` (`grey`), `--irot 1` (`turned`), `--imir 0` (`mirrored`),
 //! and `--icc` (`icc`) by `avifenc` 0.11.1. `rgb-420` (`range="limited"`), `rgb-422` and `premultiplied`
-//! (`alpha_premultiplied=True`) are by libavif in Pillow 12, at qualities of 95 and 100. `large` is a grey of 16385 × 8193
+//! (`alpha_premultiplied=True`) are by libavif in Pillow 12, at qualities of 95 and 100; `metadata`, with an EXIF block of an
+//! artist and an XMP block, as well. `large` is a grey of 16385 × 8193
 //! pixels.
 
 use std::fs;
@@ -165,6 +166,32 @@ fn rotation_and_reflection_become_the_orientation() {
     assert_eq!(read(bytes).unwrap().orientation, Orientation::FlipHorizontal);
 }
 
+/// Returns `metadata.avif` after `change` of the bytes from the first `word` on.
+fn with_metadata(word: &[u8], change: impl Fn(&mut [u8])) -> Source {
+    let mut bytes = fs::read(path("metadata.avif")).unwrap();
+    let at = bytes.windows(word.len()).position(|found| found == word).unwrap();
+    change(&mut bytes[at..]);
+    read(bytes).unwrap()
+}
+
+#[test]
+fn exif_is_kept_and_what_is_left_out_is_told() {
+    let xmp = "its XMP block is left out";
+    let found = open("metadata.avif", Turn::Keep);
+    let exif = found.exif.unwrap();
+    assert!(exif.starts_with(b"MM\0*") || exif.starts_with(b"II*\0"), "{exif:?}");
+    assert!(exif.windows(14).any(|bytes| bytes == b"Test of ssplat"));
+    assert_eq!(found.notes, [xmp]);
+    let broken = with_metadata(b"Test of", |bytes| bytes[..7].fill(0xff));
+    assert_eq!(broken.notes, [xmp], "text of any bytes is no damage");
+    let broken = with_metadata(b"MM\0*", |bytes| bytes[..4].fill(0));
+    assert_eq!((broken.exif, broken.notes.len()), (None, 2));
+    assert!(broken.notes[0].starts_with("its EXIF block is damaged and left out: "), "{}", broken.notes[0]);
+    let with_gain_map = with_metadata(b"Exif", |bytes| bytes[..4].copy_from_slice(b"tmap"));
+    assert_eq!(with_gain_map.exif, None);
+    assert_eq!(with_gain_map.notes, [xmp, "its gain map is left out: the picture has standard dynamic range"]);
+}
+
 #[test]
 fn damaged_files_are_errors_and_none_takes_forever() {
     let whole = fs::read(path("rgba.avif")).unwrap();
@@ -184,12 +211,14 @@ fn damaged_files_are_errors_and_none_takes_forever() {
     bytes.extend([0, 0, 0, 1, b'm', b'd', b'a', b't', 0, 0, 0x40, 0, 0, 0, 0, 0]);
     bytes.extend(&whole[data..]);
     assert!(read(bytes).is_err());
-    // Each byte of the boxes changed.
-    for at in 0..data {
-        for with in [0, 0xff, whole[at] ^ 1] {
-            let mut bytes = whole.clone();
-            bytes[at] = with;
-            let _ = read(bytes);
+    // Each byte of the boxes, and of the EXIF block after them, changed.
+    for (whole, end) in [(whole, data), (fs::read(path("metadata.avif")).unwrap(), 0x1d0)] {
+        for at in 0..end {
+            for with in [0, 0xff, whole[at] ^ 1] {
+                let mut bytes = whole.clone();
+                bytes[at] = with;
+                let _ = read(bytes);
+            }
         }
     }
 }
