@@ -34,6 +34,12 @@ pub(crate) const BASE_SIZE_EXPONENT: f64 = 0.35;
 pub(crate) const BASE_RATIO_EXPONENT: f64 = 0.37;
 /// Maximum share of the bytes of a file for them.
 pub(crate) const MAX_BASE_SHARE: f64 = 0.7;
+/// Maximum share of the bytes for the Gaussians of photographs of more than [`SMALL_PIXELS`] at the smaller of these ratios
+/// and below it; at the larger, it is [`MAX_BASE_SHARE`]. `python lab/division.py target/release/ssplat PICTURES/cid22/*.png
+/// --ratios 100` measures it (docs/studies/division.md).
+pub(crate) const PHOTOGRAPH_BASE_SHARE: f64 = 0.6;
+/// See [`PHOTOGRAPH_BASE_SHARE`].
+pub(crate) const PHOTOGRAPH_BASE_SHARE_RATIOS: [f64; 2] = [100.0, 200.0];
 /// Fineness from which on a photograph has fewer bytes of Gaussians. This and the next three values were fitted to 48
 /// pictures at ratios of 50, 100 and 200, each encoded with factors from 0.35 to 1.4 and without a layer
 /// (docs/studies/all-pictures.md). `python lab/fit_division.py PICTURES target/release/ssplat` fits the first three.

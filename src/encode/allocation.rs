@@ -212,7 +212,17 @@ fn base_bytes(settings: &AllocationSettings, pixels: u64, texture: Option<Textur
     let may_be_busy = texture.filter(|_| settings.has_busy_share);
     let least = all * may_be_busy.map_or(0.0, |texture| busy_share(texture, pixels, ratio));
     let suited = texture.map_or(1.0, |texture| base_factor(texture, ratio));
-    (suited * bytes_of_base(settings, pixels, ratio, all)).min(allocation::MAX_BASE_SHARE * all).max(least)
+    (suited * bytes_of_base(settings, pixels, ratio, all)).min(max_base_share(texture, pixels, ratio) * all).max(least)
+}
+
+/// Returns the maximum share of the bytes for the Gaussians of a picture with this texture, size and ratio.
+fn max_base_share(texture: Option<Texture>, pixels: u64, ratio: f64) -> f64 {
+    let is_photograph = texture.is_some_and(|texture| !texture.is_drawing());
+    if !is_photograph || pixels <= *allocation::SMALL_PIXELS.end() {
+        return allocation::MAX_BASE_SHARE;
+    }
+    let grown = ramp(ratio.strict_ln(), allocation::PHOTOGRAPH_BASE_SHARE_RATIOS.map(f64::strict_ln));
+    allocation::PHOTOGRAPH_BASE_SHARE + (allocation::MAX_BASE_SHARE - allocation::PHOTOGRAPH_BASE_SHARE) * grown
 }
 
 /// Returns the share of the bytes for the Gaussians of a sharp picture.
@@ -402,6 +412,21 @@ mod tests {
         assert!(!has(texture(9.0, 4.0), 400));
         // Larger pictures gain from a layer at larger ratios.
         assert!(largest_ratio(&of(5), 10 * PIXELS_OF_512, coarse) > 4.0 * largest_ratio(&of(5), PIXELS_OF_512, coarse));
+    }
+
+    #[test]
+    fn photographs_leave_more_bytes_to_the_layer_up_to_a_ratio_of_100() {
+        let share = |texture, pixels, ratio| max_base_share(texture, pixels, ratio);
+        let photograph = texture(0.5, 4.0);
+        assert_eq!(share(photograph, PIXELS_OF_512, 100.0), allocation::PHOTOGRAPH_BASE_SHARE);
+        assert_eq!(share(photograph, PIXELS_OF_512, 200.0), allocation::MAX_BASE_SHARE);
+        let between = share(photograph, PIXELS_OF_512, 140.0);
+        assert!(allocation::PHOTOGRAPH_BASE_SHARE < between && between < allocation::MAX_BASE_SHARE);
+        // Small pictures, drawings, and pictures whose texture is not known.
+        let drawing = Some(Texture { fineness: 0.5, activity: 4.0, flat: 0.9 });
+        for (texture, pixels) in [(photograph, 192 * 192), (drawing, PIXELS_OF_512), (None, PIXELS_OF_512)] {
+            assert_eq!(share(texture, pixels, 100.0), allocation::MAX_BASE_SHARE);
+        }
     }
 
     #[test]
