@@ -3,9 +3,13 @@
 use std::io::{self, Cursor, Write};
 use std::path::Path;
 
-use image::codecs::{jpeg::JpegEncoder, tiff::TiffEncoder, webp::WebPEncoder};
+use image::codecs::{
+    bmp::BmpEncoder, farbfeld::FarbfeldEncoder, jpeg::JpegEncoder, qoi::QoiEncoder, tga::TgaEncoder, tiff::TiffEncoder,
+    webp::WebPEncoder,
+};
+use image::error::{ImageFormatHint, UnsupportedError};
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageEncoder, ImageFormat, ImageResult};
+use image::{DynamicImage, ImageEncoder, ImageError, ImageFormat, ImageResult};
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::unstable::colour;
@@ -325,7 +329,8 @@ fn pnm_header(shape: Shape, format: Format) -> String {
     format!("P7\nWIDTH {width}\nHEIGHT {height}\nDEPTH {count}\nMAXVAL {max}\nTUPLTYPE {tuple}\nENDHDR\n")
 }
 
-/// Encodes a whole picture, with the metadata that `image` writes for the format.
+/// Encodes a whole picture, with the metadata that `image` writes for the format. `DynamicImage::write_to` would compile every
+/// encoder once more.
 fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata) -> ImageResult<Vec<u8>> {
     let mut out = Cursor::new(Vec::new());
     match format {
@@ -334,12 +339,16 @@ fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata)
         }
         ImageFormat::WebP => with_metadata(&picture, WebPEncoder::new_lossless(&mut out), metadata)?,
         ImageFormat::Tiff => with_metadata(&picture, TiffEncoder::new(&mut out), metadata)?,
-        ImageFormat::Farbfeld => DynamicImage::from(picture.into_rgba16()).write_to(&mut out, format)?,
-        ImageFormat::Qoi if picture.color().has_alpha() => {
-            DynamicImage::from(picture.into_rgba8()).write_to(&mut out, format)?;
+        ImageFormat::Farbfeld => {
+            DynamicImage::from(picture.into_rgba16()).write_with_encoder(FarbfeldEncoder::new(&mut out))?;
         }
-        ImageFormat::Qoi => DynamicImage::from(picture.into_rgb8()).write_to(&mut out, format)?,
-        _ => picture.write_to(&mut out, format)?,
+        ImageFormat::Qoi if picture.color().has_alpha() => {
+            DynamicImage::from(picture.into_rgba8()).write_with_encoder(QoiEncoder::new(&mut out))?;
+        }
+        ImageFormat::Qoi => DynamicImage::from(picture.into_rgb8()).write_with_encoder(QoiEncoder::new(&mut out))?,
+        ImageFormat::Bmp => picture.write_with_encoder(BmpEncoder::new(&mut out))?,
+        ImageFormat::Tga => picture.write_with_encoder(TgaEncoder::new(&mut out))?,
+        _ => return Err(ImageError::Unsupported(UnsupportedError::from(ImageFormatHint::Exact(format)))),
     }
     Ok(out.into_inner())
 }

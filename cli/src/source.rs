@@ -7,6 +7,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, GenericImageView, ImageDecoder, ImageFormat, ImageReader};
 use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
+use ssplat::unstable::colour::Overlay;
 use ssplat::unstable::colour::{self, Profiles, Stated};
 use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
 use ssplat::{Channels, Cicp, HiddenColors, Limits, Metadata, Pixels};
@@ -204,7 +205,7 @@ fn read_foreign(path: &Path, mut input: Input, reading: &Reading) -> Result<Sour
         notes.extend(found.notes);
         (exif, orientation, icc) = (None, found.orientation, stated.own_profile());
     } else {
-        let mut decoder = open_picture(input, path, &stated, &limits()).map_err(failed)?;
+        let mut decoder = open_picture(&mut input, path, &stated, &limits()).map_err(failed)?;
         icc = stated.profile(&mut decoder).map_err(failed)?;
         (exif, orientation) = stated.exif(&mut decoder).map_err(failed)?;
         if stated.has_xmp || decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
@@ -290,7 +291,9 @@ pub fn size(path: &Path, input: &mut Input) -> Option<[u32; 2]> {
         if format == ImageFormat::Jpeg && input.length().ok()? > MAX_ALLOC {
             return None;
         }
-        let mut reader = ImageReader::with_format(&mut *input, format);
+        // The type that `open_picture` reads, so that the decoders are compiled once.
+        let overlay = Overlay::new(&mut *input, Vec::new()).ok()?;
+        let mut reader = ImageReader::with_format(overlay, format);
         reader.limits(limits());
         reader.into_dimensions().ok().map(<[u32; 2]>::from)
     };

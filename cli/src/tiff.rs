@@ -86,7 +86,9 @@ pub fn read(path: &Path, input: &mut (impl BufRead + Seek)) -> Result<Option<Fou
 
 fn found(path: &Path, input: &mut (impl BufRead + Seek)) -> Result<Option<Found>, Failure> {
     // The decoder of `image` reports what is wrong with a broken directory.
-    let Ok(directory) = Decoder::new(&mut *input).and_then(|mut decoder| directory(&mut decoder)) else {
+    let io = |e| Failure::io(path, &e);
+    let overlay = Overlay::new(&mut *input, Vec::new()).map_err(io)?;
+    let Ok(directory) = Decoder::new(overlay).and_then(|mut decoder| directory(&mut decoder)) else {
         return Ok(None);
     };
     let colors = match kind(&directory) {
@@ -95,7 +97,6 @@ fn found(path: &Path, input: &mut (impl BufRead + Seek)) -> Result<Option<Found>
         Err(what) => return Err(unsupported(path, &what)),
     };
     let failed = |e| failure(path, e);
-    let io = |e| Failure::io(path, &e);
     // Twice: as they are stored and as they are returned.
     let pixels = u64::from(directory.width) * u64::from(directory.height);
     let bytes = u64::from(directory.bits.div_ceil(8).max(2)) + 4;

@@ -91,21 +91,18 @@ impl<T: Sample> Task for Job<'_, '_, T> {
     /// Renders the tile.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        match (self.scene.blend, self.scene.channels) {
-            (Blend::Normalized, 1) => draw::<S, T, 1, 2>(simd, self),
-            (Blend::Normalized, 2) => draw::<S, T, 2, 3>(simd, self),
-            (Blend::Normalized, 3) => draw::<S, T, 3, 4>(simd, self),
-            (Blend::Normalized, _) => draw::<S, T, 4, 5>(simd, self),
-            (Blend::Sum, 1) => draw::<S, T, 1, 1>(simd, self),
-            (Blend::Sum, 2) => draw::<S, T, 2, 2>(simd, self),
-            (Blend::Sum, 3) => draw::<S, T, 3, 3>(simd, self),
-            (Blend::Sum, _) => draw::<S, T, 4, 4>(simd, self),
+        match self.scene.channels {
+            1 => draw::<S, T, 1, 2>(simd, self),
+            2 => draw::<S, T, 2, 3>(simd, self),
+            3 => draw::<S, T, 3, 4>(simd, self),
+            _ => draw::<S, T, 4, 5>(simd, self),
         }
     }
 }
 
-/// Renders a tile with `C` channels. `P` planes are accumulated: the channels and, where the blend divides by the
-/// weight, the weight.
+/// Renders a tile with `C` channels. `P` planes are accumulated: the channels and the weight, by which the sum alone
+/// ([`Blend::Sum`]) is not divided. Code without the plane would be as long as all of this again, for a blend that the
+/// encoder does not choose.
 #[inline(always)]
 fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_, '_, T>) {
     let Job { scene, members, window, scratch, out, added } = job;
@@ -122,10 +119,11 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     sums.resize(kept * TILE_HEIGHT * P, Lanes([0.0; LANES]));
     // Finishing a strip visits all of its sums and resets them for the next strip.
     let renewed = kept == 1 && window.rows.start == 0;
+    let is_divided = scene.blend == Blend::Normalized;
     let mut start = [0.0; P];
     for (k, value) in start.iter_mut().enumerate() {
         let b = if k < C { scene.background[k] } else { 1.0 };
-        *value = if P > C { EPSILON * b } else { b };
+        *value = if is_divided { EPSILON * b } else { b };
     }
     for batch in 0..batches {
         let members = &members[batch * MAX_BATCH..members.len().min((batch + 1) * MAX_BATCH)];
@@ -148,10 +146,10 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
                 let shown = &mut sums[window.rows.start..];
                 let added = added.map(|a| Added { column: a.column + s * LANES / across, ..a });
                 if scene.parts == [1, 1] {
-                    finish::<S, T, C, P>(simd, shown, (start, added), (codes, s * LANES * C));
+                    finish::<S, T, C, P>(simd, shown, (is_divided, start, added), (codes, s * LANES * C));
                 } else {
                     let codes = &mut codes[s * LANES / across * C..];
-                    reduce::<S, T, C, P>(simd, shown, (scene.parts, start, added), codes);
+                    reduce::<S, T, C, P>(simd, shown, (scene.parts, is_divided, start, added), codes);
                 }
             }
         }
@@ -172,9 +170,13 @@ fn fill<S: Simd, const P: usize>(simd: S, row: &mut [Lanes; P], values: [f32; P]
 
 /// Returns the sums of one row of a strip as colours from 0 to white.
 #[inline(always)]
-fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P]) -> [S::Vector; C] {
+fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(
+    simd: S,
+    row: &[Lanes; P],
+    is_divided: bool,
+) -> [S::Vector; C] {
     let white = simd.splat(T::WHITE);
-    let scale = if P > C { simd.div(white, simd.load(&row[P - 1])) } else { white };
+    let scale = if is_divided { simd.div(white, simd.load(&row[C])) } else { white };
     let mut values = [scale; C];
     for (value, sum) in values.iter_mut().zip(row) {
         let v = simd.mul(simd.load(sum), scale);
@@ -190,7 +192,7 @@ fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lan
 fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     strip: &mut [[Lanes; P]],
-    (start, added): ([f32; P], Option<Added<'_>>),
+    (is_divided, start, added): (bool, [f32; P], Option<Added<'_>>),
     (codes, at): (&mut [T], usize),
 ) {
     let mut codes = codes.chunks_exact_mut(TILE_WIDTH * C);
@@ -202,7 +204,7 @@ fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
         let (rows, below) = rest.split_at_mut(count);
         let more = added.map_or(More::Nothing, |added| added.rows::<C>(row, count));
         for (i, (sums, codes)) in rows.iter_mut().zip(&mut codes).enumerate() {
-            let mut values = shade::<S, T, C, P>(simd, sums);
+            let mut values = shade::<S, T, C, P>(simd, sums, is_divided);
             enrich::<S, T, C>(simd, &mut values, &more, i);
             for value in &mut values {
                 *value = simd.add(*value, simd.splat(0.5));
@@ -269,12 +271,12 @@ fn enrich<S: Simd, T: Sample, const C: usize>(simd: S, values: &mut [S::Vector; 
 fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     strip: &mut [[Lanes; P]],
-    ([across, down], start, added): ([usize; 2], [f32; P], Option<Added<'_>>),
+    ([across, down], is_divided, start, added): ([usize; 2], bool, [f32; P], Option<Added<'_>>),
     codes: &mut [T],
 ) {
     for (i, (rows, codes)) in strip.chunks_exact_mut(down).zip(codes.chunks_mut(TILE_WIDTH * C)).enumerate() {
         let added = added.map(|a| Added { row: a.row + i, ..a });
-        average::<S, T, C, P>(simd, rows, (across, start, added), &mut codes[..LANES / across * C]);
+        average::<S, T, C, P>(simd, rows, (across, is_divided, start, added), &mut codes[..LANES / across * C]);
     }
 }
 
@@ -284,7 +286,7 @@ fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
 fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     rows: &mut [[Lanes; P]],
-    (across, start, added): (usize, [f32; P], Option<Added<'_>>),
+    (across, is_divided, start, added): (usize, bool, [f32; P], Option<Added<'_>>),
     codes: &mut [T],
 ) {
     let down = rows.len();
@@ -293,7 +295,7 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     let hidden = simd.splat(HIDDEN * T::WHITE);
     let (mut sums, mut weights) = ([simd.splat(0.0); C], simd.splat(0.0));
     for row in rows {
-        let mut values = shade::<S, T, C, P>(simd, row);
+        let mut values = shade::<S, T, C, P>(simd, row, is_divided);
         if has_alpha {
             let weight = simd.add(values[C - 1], hidden);
             weights = simd.add(weights, weight);
@@ -574,8 +576,6 @@ fn deposit<S: Simd, const C: usize, const P: usize>(
         let sum = simd.add(simd.load(&row[c]), simd.mul(w, color[c]));
         simd.store(&mut row[c], sum);
     }
-    if P > C {
-        let sum = simd.add(simd.load(&row[C]), w);
-        simd.store(&mut row[C], sum);
-    }
+    let weight = simd.add(simd.load(&row[C]), w);
+    simd.store(&mut row[C], weight);
 }
