@@ -17,6 +17,9 @@ use crate::ycbcr::{self, Ycbcr};
 /// Maximum number of pixels: up to 16 bytes for each of them are in memory at a time.
 const MAX_PIXELS: u32 = 1 << 27;
 
+/// What to do about files that are not supported.
+const CONVERT: &str = "convert it first, with `avifdec IN.avif OUT.png`";
+
 /// Decodes the AVIF file in `input`, which came from `path`.
 ///
 /// # Errors
@@ -28,7 +31,12 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     let name = Failure::input(path);
     let failure = |kind, what: &str| Failure { kind, message: format!("{name}: {what}") };
     let broken = |what: String| failure(Kind::Format, &format!("Format error decoding AVIF: {what}"));
-    let file = read_avif(&mut *input, ParseStrictness::Normal).map_err(|e| broken(format!("{e:?}")))?;
+    let file = read_avif(&mut *input, ParseStrictness::Normal).map_err(|e| match e {
+        mp4parse::Error::Unsupported(what) => {
+            failure(Kind::Unsupported, &format!("AVIF of a kind that is not supported ({what}); {CONVERT}"))
+        }
+        e => broken(format!("{e:?}")),
+    })?;
     input.rewind().map_err(|e| Failure::io(path, &e))?;
     let meta = meta_box(input).map_err(|e| Failure::io(path, &e))?;
     let orientation = orientation(&file, &meta).map_err(&broken)?;
@@ -43,6 +51,15 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
             e => broken(e.to_string()),
         })
     };
+    // mp4parse leaves out items with essential properties that it does not know.
+    if file.primary_item_coded_data().unwrap_or_default().is_empty() {
+        let what = if file.sequence.is_some() {
+            "is an animation without a still picture"
+        } else {
+            "is a grid of pictures, is cropped, or selects one of several layers"
+        };
+        return Err(failure(Kind::Unsupported, &format!("{what}, which is not supported; {CONVERT}")));
+    }
     let colors = decoded(file.primary_item_coded_data())?;
     let has_alpha = !file.alpha_item_coded_data().unwrap_or_default().is_empty();
     let alpha = if has_alpha { Some(decoded(file.alpha_item_coded_data())?) } else { None };
@@ -57,6 +74,7 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
         // The numbers of AV1 are those of ITU-T H.273.
         None => (colors.matrix_coefficients() as u8, ycbcr::is_full_range(&colors)),
     };
+    let of_av1 = [colors.color_primaries() as u8, colors.transfer_characteristic() as u8];
     let planes =
         Ycbcr { colors, alpha, matrix, is_full_range, is_premultiplied: has_alpha && file.premultiplied_alpha };
     let picture = planes.to_picture().map_err(|e| match e {
@@ -66,8 +84,12 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
         }
     })?;
     let icc = file.icc_colour_information().transpose().map_err(|e| broken(format!("{e:?}")))?.map(<[u8]>::to_vec);
-    let code_points = stated.map(|[primaries, transfer, ..]| [primaries, transfer, 0, 1]);
+    let [primaries, transfer] = stated.map_or(of_av1, |[primaries, transfer, ..]| [primaries, transfer]);
+    let code_points = Some([primaries, transfer, 0, 1]);
     let mut notes = Vec::new();
+    if file.sequence.is_some() {
+        notes.push("only the first of its frames or pages is used".into());
+    }
     let exif = exif(input).unwrap_or_else(|why| {
         notes.push(format!("its EXIF block is damaged and left out: {why}"));
         None
@@ -78,7 +100,7 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     }
     // The item that a gain map is applied by (ISO 23008-12).
     if states(b"tmap") {
-        notes.push("its gain map is left out: the picture has standard dynamic range".into());
+        notes.push("its gain map is left out; the picture is its base".into());
     }
     Ok(Decoded { picture, orientation, code_points, icc, exif, notes })
 }
@@ -163,7 +185,13 @@ fn first_picture(data: &[u8]) -> Result<Picture, Error> {
     settings.set_max_frame_delay(1);
     // With its own threads, a failure in one of them could leave the others waiting.
     settings.set_n_threads(1);
+    // Of several spatial layers, the largest.
+    settings.set_all_layers(false);
     let mut decoder = Decoder::with_settings(&settings)?;
     decoder.send_data(data.to_vec(), None, None, None)?;
-    decoder.get_picture()
+    match decoder.get_picture() {
+        // The second call says that there is no more data: a larger layer may be missing.
+        Err(Error::Again) => decoder.get_picture(),
+        picture => picture,
+    }
 }

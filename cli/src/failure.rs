@@ -80,7 +80,8 @@ impl Failure {
             ImageError::Limits(_) => Kind::Limit,
             ImageError::Parameter(_) => Kind::Usage,
         };
-        Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
+        // Some messages of decoders end with a line feed.
+        Failure { kind, message: format!("{}: {}", Failure::input(path), error.to_string().trim_end()) }
     }
 
     /// A panic of this program while it processed `path`.

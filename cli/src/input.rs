@@ -12,8 +12,8 @@ use ssplat::{FormatError, Limits};
 use crate::failure::{Failure, Kind};
 use crate::sniff::{Sniffed, sniff};
 
-/// Number of bytes at the start of a file that suffice to detect its format.
-pub const LONGEST_MAGIC: u64 = 32;
+/// Number of bytes at the start of a file that suffice to detect its format: `ftyp` with 60 brands.
+pub const LONGEST_MAGIC: u64 = 256;
 
 /// An input file that can seek.
 pub enum Input {

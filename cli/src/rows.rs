@@ -98,7 +98,9 @@ impl Format {
 
     /// Whether the format stores pictures of `channels` as grey.
     pub fn is_grey(self, channels: Channels) -> bool {
-        channels.count() < 3 && !matches!(self, Format::Ppm | Format::Whole(ImageFormat::WebP | ImageFormat::Qoi))
+        let has_grey = !matches!(self, Format::Ppm | Format::Whole(ImageFormat::WebP | ImageFormat::Qoi));
+        let has_grey_alpha = !matches!(self, Format::Whole(ImageFormat::Bmp | ImageFormat::Tiff));
+        has_grey && channels.count() < 3 && (channels == Channels::Grey || has_grey_alpha)
     }
 
     /// Returns the name of the format and its longest side in pixels, if that is less than a picture may have.
@@ -333,6 +335,12 @@ fn pnm_header(shape: Shape, format: Format) -> String {
 /// encoder once more.
 fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata) -> ImageResult<Vec<u8>> {
     let mut out = Cursor::new(Vec::new());
+    // Their encoders know grey without alpha only.
+    let picture = match (format, picture) {
+        (ImageFormat::Bmp | ImageFormat::Tiff, picture @ DynamicImage::ImageLumaA8(_)) => picture.into_rgba8().into(),
+        (ImageFormat::Bmp | ImageFormat::Tiff, picture @ DynamicImage::ImageLumaA16(_)) => picture.into_rgba16().into(),
+        (_, picture) => picture,
+    };
     match format {
         ImageFormat::Jpeg => {
             with_metadata(&picture, JpegEncoder::new_with_quality(&mut out, JPEG_QUALITY), metadata)?;

@@ -27,7 +27,8 @@ pub struct Carried {
 
 impl MetadataPolicy {
     /// Returns the metadata to store for a picture with these code points, this ICC profile, this EXIF block and this
-    /// orientation. [`MetadataPolicy::Needed`] omits a profile that code points override. An orientation that does not come from an EXIF block, as in TIFF, is stored in a new one.
+    /// orientation. [`MetadataPolicy::Needed`] omits a profile that code points override. An orientation that does not come from an EXIF block, as in TIFF,
+    /// is stored in a new one. [`MetadataPolicy::All`] adds it to the block of a file that has both, such as AVIF.
     ///
     /// ```
     /// use image::metadata::Orientation;
@@ -61,10 +62,21 @@ impl MetadataPolicy {
         // Pictures without a profile are displayed as sRGB.
         let icc = icc.filter(|icc| self != MetadataPolicy::Needed || cicp.is_none() && !is_srgb(icc));
         let cicp = cicp.filter(|_| self != MetadataPolicy::None);
+        let stated = |exif: &Vec<u8>| Orientation::from_exif_chunk(exif).unwrap_or(Orientation::NoTransforms);
         let (icc, exif) = match self {
-            MetadataPolicy::All => (icc, exif.or_else(alone)),
+            // Containers such as AVIF state the orientation beside the block.
+            MetadataPolicy::All => match exif {
+                Some(exif) if stated(&exif) != orientation => (icc, Some(with_orientation(exif, orientation))),
+                exif => (icc, exif.or_else(alone)),
+            },
             // A block that contains only the orientation is kept unchanged.
-            MetadataPolicy::Needed if exif.as_ref().is_some_and(|exif| is_turned && exif.len() <= BLOCK) => (icc, exif),
+            MetadataPolicy::Needed
+                if exif
+                    .as_ref()
+                    .is_some_and(|exif| is_turned && exif.len() <= BLOCK && stated(exif) == orientation) =>
+            {
+                (icc, exif)
+            }
             MetadataPolicy::Needed => (icc, alone()),
             MetadataPolicy::Icc => (icc, None),
             MetadataPolicy::None => (None, None),
@@ -73,13 +85,67 @@ impl MetadataPolicy {
             icc_left_out: if icc.is_some() || self == MetadataPolicy::Needed { 0 } else { all_icc },
             // Leaving out a block that can only hold an orientation loses nothing.
             exif_left_out: if length(&exif) < all_exif && all_exif > BLOCK { all_exif } else { 0 },
-            is_orientation_left_out: is_turned && exif.is_none(),
+            is_orientation_left_out: is_turned && exif.as_ref().is_none_or(|exif| stated(exif) != orientation),
             cicp,
             icc,
             exif,
         }
     }
 }
+
+/// Returns an EXIF block with its orientation replaced, or added in a directory that takes the place of the first one. A block
+/// without a readable directory is returned unchanged.
+fn with_orientation(exif: Vec<u8>, orientation: Orientation) -> Vec<u8> {
+    let changed = || {
+        let is_little = match exif.get(..4)? {
+            b"II*\0" => true,
+            b"MM\0*" => false,
+            _ => return None,
+        };
+        let short = |at: usize| {
+            let bytes = *exif.get(at..)?.first_chunk()?;
+            Some(if is_little { u16::from_le_bytes(bytes) } else { u16::from_be_bytes(bytes) })
+        };
+        let long = |at: usize| {
+            let bytes = *exif.get(at..)?.first_chunk()?;
+            Some(if is_little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
+        };
+        let short_bytes = |value: u16| if is_little { value.to_le_bytes() } else { value.to_be_bytes() };
+        let long_bytes = |value: u32| if is_little { value.to_le_bytes() } else { value.to_be_bytes() };
+        let first = usize::try_from(long(4)?).ok()?;
+        let count = usize::from(short(first)?);
+        let (entries, next) = exif.get(first + 2..)?.split_at_checked(12 * count)?;
+        let next = next.get(..4)?;
+        // One value of type SHORT, padded to four bytes.
+        let mut entry = Vec::new();
+        entry.extend([short_bytes(ORIENTATION), short_bytes(3)].concat());
+        entry.extend(long_bytes(1));
+        entry.extend(short_bytes(u16::from(orientation.to_exif())));
+        entry.extend([0, 0]);
+        let tag = |i: usize| short(first + 2 + 12 * i);
+        let others = (0..count).filter(|&i| tag(i) != Some(ORIENTATION));
+        let before = (0..count).take_while(|&i| tag(i).is_some_and(|tag| tag < ORIENTATION)).count();
+        let kept: Vec<usize> = others.collect();
+        let mut block = exif.clone();
+        // Directories begin at even offsets.
+        block.resize(exif.len().next_multiple_of(2), 0);
+        block.splice(4..8, long_bytes(u32::try_from(block.len()).ok()?));
+        block.extend(short_bytes(u16::try_from(kept.len() + 1).ok()?));
+        for &i in kept.iter().filter(|&&i| i < before) {
+            block.extend(&entries[12 * i..12 * (i + 1)]);
+        }
+        block.extend(entry);
+        for &i in kept.iter().filter(|&&i| i >= before) {
+            block.extend(&entries[12 * i..12 * (i + 1)]);
+        }
+        block.extend(next);
+        Some(block)
+    };
+    changed().unwrap_or(exif)
+}
+
+/// The tag of the orientation.
+const ORIENTATION: u16 = 0x0112;
 
 /// Bytes of an EXIF block that contains only an orientation.
 const BLOCK: usize = 26;
@@ -123,13 +189,46 @@ mod tests {
     }
 
     #[test]
+    fn an_orientation_beside_the_exif_block_is_kept_with_each_policy_that_keeps_any() {
+        // An artist of six bytes at offset 26, and with it a description or an orientation, in both orders of bytes.
+        let big = b"MM\0*\0\0\0\x08\0\x01\x01\x3b\0\x02\0\0\0\x06\0\0\0\x1a\0\0\0\0Tester".to_vec();
+        let little = b"II*\0\x08\0\0\0\x01\0\x3b\x01\x02\0\x06\0\0\0\x1a\0\0\0\0\0\0\0Tester".to_vec();
+        let short = big[..26].to_vec();
+        for block in [&big, &little, &short, &with_orientation(big.clone(), Orientation::FlipVertical)] {
+            for orientation in ALL {
+                for carry in [MetadataPolicy::All, MetadataPolicy::Needed] {
+                    let carried = carry.select((None, None), Some(block.clone()), orientation);
+                    let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
+                    let is_turned = orientation != Orientation::NoTransforms;
+                    assert_eq!(said.unwrap_or(Orientation::NoTransforms), orientation, "{block:?}, {carry:?}");
+                    assert!(!carried.is_orientation_left_out);
+                    if carry == MetadataPolicy::All && is_turned && *block != short {
+                        // The value still lies where its entry says, and a second change has the same directory.
+                        let exif = carried.exif.unwrap();
+                        assert_eq!(exif[26..32], *b"Tester");
+                        let again = with_orientation(exif.clone(), Orientation::Rotate90);
+                        assert_eq!(Orientation::from_exif_chunk(&again), Some(Orientation::Rotate90));
+                    }
+                }
+            }
+        }
+        // Blocks that cannot be read stay, and the loss is told.
+        for broken in [b"MM\0*\0\0\0\xff".to_vec(), b"II*\0\x08\0\0\0\xff\xff".to_vec(), vec![7; 40]] {
+            let carried = MetadataPolicy::All.select((None, None), Some(broken.clone()), Orientation::Rotate90);
+            assert_eq!((carried.exif, carried.is_orientation_left_out), (Some(broken), true));
+        }
+    }
+
+    #[test]
     fn omitted_metadata_is_reported() {
         let of = |carry: MetadataPolicy, exif: Option<Vec<u8>>| {
             carry.select((None, Some(vec![1; 500])), exif, Orientation::Rotate180)
         };
-        let all = of(MetadataPolicy::All, Some(vec![2; 90]));
+        let mut block = oriented(Orientation::Rotate180);
+        block.resize(90, 2);
+        let all = of(MetadataPolicy::All, Some(block.clone()));
         assert_eq!((all.icc_left_out, all.exif_left_out, all.is_orientation_left_out), (0, 0, false));
-        assert_eq!(all.exif, Some(vec![2; 90]));
+        assert_eq!(all.exif, Some(block));
         let icc = of(MetadataPolicy::Icc, Some(vec![2; 90]));
         assert_eq!(
             (icc.icc.is_some(), icc.exif, icc.exif_left_out, icc.is_orientation_left_out),

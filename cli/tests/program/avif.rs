@@ -5,7 +5,7 @@
 //! (`rgb`, `rgba`), with `-d 10` (`rgb-10`, `rgba-10`), `-y 400` (`grey`), `--irot 1` (`turned`), `--imir 0` (`mirrored`),
 //! and `--icc` (`icc`) by `avifenc` 0.11.1. `rgb-420` (`range="limited"`), `rgb-422` and `premultiplied`
 //! (`alpha_premultiplied=True`) are by libavif in Pillow 12, at qualities of 95 and 100; `metadata`, with an EXIF block of an
-//! artist and an XMP block, as well. `large` is a grey of 16385 × 8193
+//! artist and an XMP block, and `animated`, of two frames, as well. `large` is a grey of 16385 × 8193
 //! pixels.
 
 use std::fs;
@@ -189,7 +189,25 @@ fn exif_is_kept_and_what_is_left_out_is_told() {
     assert!(broken.notes[0].starts_with("its EXIF block is damaged and left out: "), "{}", broken.notes[0]);
     let with_gain_map = with_metadata(b"Exif", |bytes| bytes[..4].copy_from_slice(b"tmap"));
     assert_eq!(with_gain_map.exif, None);
-    assert_eq!(with_gain_map.notes, [xmp, "its gain map is left out: the picture has standard dynamic range"]);
+    assert_eq!(with_gain_map.notes, [xmp, "its gain map is left out; the picture is its base"]);
+}
+
+#[test]
+fn the_first_frame_of_an_animation_is_read_and_the_others_are_told() {
+    let found = open("animated.avif", Turn::Keep);
+    assert_eq!(found.notes, ["only the first of its frames or pages is used"]);
+    let off = difference(found, |x, y| (x, y));
+    assert!(off <= 40, "{off}");
+}
+
+#[test]
+fn files_of_kinds_that_are_not_read_are_refused_as_such() {
+    let mut grid = fs::read(path("metadata.avif")).unwrap();
+    let kind = grid.windows(9).position(|found| found == b"av01Color").unwrap();
+    grid[kind..kind + 4].copy_from_slice(b"grid");
+    let failure = read(grid).err().expect("a grid is refused");
+    assert_eq!(failure.kind, Kind::Unsupported, "{}", failure.message);
+    assert!(failure.message.starts_with("a.avif: is a grid of pictures, is cropped, or"), "{}", failure.message);
 }
 
 #[test]

@@ -573,6 +573,28 @@ fn portable_pixmaps_have_the_kind_of_their_extension() {
 }
 
 #[test]
+fn grey_with_alpha_is_kept_in_every_format_that_stores_alpha() {
+    let folder = Folder::new();
+    let file = folder.path("a.ssplat");
+    for depth in [8, 16] {
+        let value = |i: u16| i * 60 + 9;
+        let samples = match depth {
+            8 => Samples::U8((0..4).map(|i| value(i) as u8).collect()),
+            _ => Samples::U16((0..4).map(|i| value(i) * 257).collect()),
+        };
+        let pixels = Pixels::new(2, 1, Channels::GreyAlpha, samples).unwrap();
+        let exact = ssplat::Encoder::new().target(ssplat::Target::Lossless).encode(&pixels).unwrap();
+        fs::write(&file, exact.bytes).unwrap();
+        let want = image::DynamicImage::from(pixels).into_rgba8();
+        for extension in ["bmp", "ff", "pam", "png", "qoi", "tga", "tiff", "webp"] {
+            let out = folder.path("o").with_extension(extension);
+            ends(0, &["decode", text(&file), text(&out)]);
+            assert_eq!(image::open(&out).unwrap().into_rgba8(), want, "{extension}, {depth} bits");
+        }
+    }
+}
+
+#[test]
 fn limits_of_output_formats_are_checked_first() {
     let folder = Folder::new();
     let file = folder.path("a.ssplat");
