@@ -27,8 +27,9 @@ pub struct Carried {
 
 impl MetadataPolicy {
     /// Returns the metadata to store for a picture with these code points, this ICC profile, this EXIF block and this
-    /// orientation. [`MetadataPolicy::Needed`] omits a profile that code points override. An orientation that does not come from an EXIF block, as in TIFF,
-    /// is stored in a new one. [`MetadataPolicy::All`] adds it to the block of a file that has both, such as AVIF.
+    /// orientation. [`MetadataPolicy::Needed`] omits a profile that code points override. An orientation that does not
+    /// come from an EXIF block, as in TIFF, is stored in a new one; [`MetadataPolicy::All`] adds it to the block of a
+    /// file that has both, as AVIF may.
     ///
     /// ```
     /// use image::metadata::Orientation;
