@@ -40,8 +40,8 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
     input.rewind().map_err(|e| Failure::io(path, &e))?;
     let meta = meta_box(input).map_err(|e| Failure::io(path, &e))?;
     let orientation = orientation(&file, &meta).map_err(&broken)?;
-    let decoded = |data: Option<&[u8]>| {
-        first_picture(data.unwrap_or_default()).map_err(|e| match e {
+    let decoded = |data: &[u8]| {
+        first_picture(data).map_err(|e| match e {
             // The type of this error is private to re_rav1d.
             Error::UnknownError(e) if format!("{e:?}") == "ERANGE" => {
                 failure(Kind::Limit, &format!("has more than {MAX_PIXELS} pixels"))
@@ -51,8 +51,10 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
             e => broken(e.to_string()),
         })
     };
+    let [color_data, alpha_data] =
+        [file.primary_item_coded_data(), file.alpha_item_coded_data()].map(Option::unwrap_or_default);
     // mp4parse leaves out items with essential properties that it does not know.
-    if file.primary_item_coded_data().unwrap_or_default().is_empty() {
+    if color_data.is_empty() {
         let what = if file.sequence.is_some() {
             "is an animation without a still picture"
         } else {
@@ -60,9 +62,9 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Decoded, Failure> {
         };
         return Err(failure(Kind::Unsupported, &format!("{what}, which is not supported; {CONVERT}")));
     }
-    let colors = decoded(file.primary_item_coded_data())?;
-    let has_alpha = !file.alpha_item_coded_data().unwrap_or_default().is_empty();
-    let alpha = if has_alpha { Some(decoded(file.alpha_item_coded_data())?) } else { None };
+    let colors = decoded(color_data)?;
+    let has_alpha = !alpha_data.is_empty();
+    let alpha = if has_alpha { Some(decoded(alpha_data)?) } else { None };
     let sides = |p: &Picture| (p.width(), p.height(), p.bit_depth());
     if alpha.as_ref().is_some_and(|alpha| sides(alpha) != sides(&colors)) {
         return Err(broken("alpha and colours differ in size or depth".into()));

@@ -7,8 +7,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, GenericImageView, ImageDecoder, ImageFormat, ImageReader};
 use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
-use ssplat::unstable::colour::Overlay;
-use ssplat::unstable::colour::{self, Profiles, Stated};
+use ssplat::unstable::colour::{self, Overlay, Profiles, Stated};
 use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
 use ssplat::{Channels, Cicp, HiddenColors, Limits, Metadata, Pixels};
 
