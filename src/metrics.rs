@@ -103,15 +103,18 @@ pub(crate) fn check_alike(a: &Pixels, b: &Pixels) -> Result<()> {
     Ok(())
 }
 
-/// Returns the sum of squared sample differences; those of colours are multiplied by the opacity of `a`. The integers
-/// are exact, so the result does not depend on the order of summation.
-fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
+/// Returns the sum of squared sample differences, in squared code values; those of colours are multiplied by the opacity
+/// of `a`. The integers are exact, so the result does not depend on the order of summation.
+///
+/// # Panics
+/// Panics if the two differ in depth.
+pub(crate) fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
     let (count, alpha) = (a.channels().count(), a.channels().alpha());
     let Some(alpha) = alpha else {
         return match (a.samples(), b.samples()) {
             (Samples::U8(a), Samples::U8(b)) => summed(a, b, 1, |p, q| square(p[0], q[0])),
             (Samples::U16(a), Samples::U16(b)) => summed(a, b, 1, |p, q| square(p[0], q[0])),
-            _ => unreachable!("check_alike compared the depths"),
+            _ => unreachable!("both have the same depth"),
         };
     };
     let most = u64::from(a.depth().max());
@@ -122,7 +125,7 @@ fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
     let sum = match (a.samples(), b.samples()) {
         (Samples::U8(a), Samples::U8(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, u8::MAX)),
         (Samples::U16(a), Samples::U16(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, u16::MAX)),
-        _ => unreachable!("check_alike compared the depths"),
+        _ => unreachable!("both have the same depth"),
     };
     sum / most as f64
 }

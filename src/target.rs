@@ -6,10 +6,10 @@ pub const DEFAULT_QUALITY: f64 = 70.0;
 
 /// Target of an encode: the size, the number of Gaussians, or the quality of the file.
 ///
-/// Screens, pages and drawings are stored without loss if that fits into the requested size, or if it takes no more
-/// bytes than the requested quality. If it does not fit, the file has an exact layer with colours near those of the
-/// picture if that is better by MS-SSIM than Gaussians and a detail layer. Photographs within a page are left to these
-/// two. [`Encoder::detail`](crate::Encoder::detail) turns this off.
+/// A picture is stored without loss if that fits into the requested size, or if it takes no more bytes than the requested
+/// quality or PSNR. If it does not fit, the file of a screen, a page or a drawing has an exact layer with colours near
+/// those of the picture if that is better by MS-SSIM than Gaussians and a detail layer. Photographs within a page are
+/// left to these two. [`Encoder::detail`](crate::Encoder::detail) turns this off.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 #[doc(alias("quality", "rate_control"))]
@@ -31,10 +31,12 @@ pub enum Target {
     /// Number of Gaussians.
     #[doc(alias("gaussians", "splats"))]
     Gaussians(u32),
-    /// PSNR against the source in dB, above 0, where errors of colours are weighted by the alpha of the source. The result is the smallest file found that reaches it. Encoding fails
-    /// with [`Error::Parameter`](crate::Error::Parameter) if even a file of twice the raw size does not reach it. With
-    /// a time limit, the result is the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr)
-    /// has its PSNR.
+    /// PSNR of the decoded picture against the source in dB, above 0, where errors of colours are weighted by the alpha
+    /// of the source. The result is the smallest file found that reaches it. The picture is stored without loss if that
+    /// takes no more bytes. With a layout, levels or layers that exclude this, encoding fails with
+    /// [`Error::Parameter`](crate::Error::Parameter) if even a file of twice the raw size does not reach it. With a time
+    /// limit, the result is the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr) has its
+    /// PSNR.
     Psnr(f64),
     /// The picture itself, without loss: the file has an exact layer that covers the whole picture, and nothing else.
     /// It requires [`Layout::Coded`](crate::Layout::Coded).

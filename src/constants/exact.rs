@@ -21,7 +21,6 @@ pub(crate) const MIN_EDGE_DIFFERENCE: f32 = 0.16;
 /// repetitions far away, and for all others, which gain from parallel decoding.
 pub(crate) const TILE_SIDES: [u8; 2] = [11, 9];
 /// Number of pairs of rows from which the bytes of a picture are estimated.
-#[cfg(feature = "quality-hook")]
 pub(crate) const ESTIMATED_PAIRS: u32 = 32;
 
 // Paper with noise (`paper.rs`).
@@ -88,7 +87,7 @@ pub(crate) const MAX_SINGLE_FIT_SIZE: f64 = 1.5;
 /// Minimum share of the time limit that remains for Gaussians and the detail layer where there is no other file.
 pub(crate) const MIN_TIME_SHARE: f64 = 0.05;
 
-// Encodes to a quality (`mod.rs`).
+// Photographs without loss (`mod.rs`).
 
 /// Quality from which on a picture is stored without loss and no other file is tried.
 #[cfg(feature = "quality-hook")]
@@ -97,8 +96,12 @@ pub(crate) const LOSSLESS_QUALITY: f64 = 99.5;
 #[cfg(feature = "quality-hook")]
 pub(crate) const LOSSLESS_TRIED_QUALITY: f64 = 97.0;
 /// Smallest size of a picture without loss relative to its estimate.
-#[cfg(feature = "quality-hook")]
 pub(crate) const MIN_LOSSLESS_SIZE: f64 = 0.7;
+/// PSNR from which on the picture without loss is tried, in decibels above that of an error of one code value: 48 dB for
+/// pictures of 8 bits.
+pub(crate) const LOSSLESS_TRIED_LEVEL: f64 = 0.0;
+/// PSNR from which on it is stored and no other file is tried, on the same scale.
+pub(crate) const LOSSLESS_LEVEL: f64 = 12.0;
 /// Points by which a file with near colours may miss a quality.
 #[cfg(feature = "quality-hook")]
 pub(crate) const NEAR_COLOR_TOLERANCE: f64 = 0.4;

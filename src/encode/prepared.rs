@@ -76,26 +76,37 @@ impl<'a> Prepared<'a> {
         Ok(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 })
     }
 
-    /// Returns the squared error of the stored picture over the fitted samples, weighted as
-    /// [`metrics::psnr`](crate::metrics::psnr) does.
+    /// Returns the squared error of the stored picture over the fitted samples, before it is rounded to code values,
+    /// weighted as [`metrics::psnr`](crate::metrics::psnr) does.
     pub(super) fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
         match self {
             Prepared::Whole(picture) => Ok(picture.shown_error(splats)),
-            Prepared::Tiled(picture) => picture.measured(picture.fitted_source, splats),
+            Prepared::Tiled(picture) => picture.decoded_error(picture.fitted_source, splats),
         }
     }
 
-    /// Returns the squared error of the stored picture over the samples of all channels, weighted as
+    /// Returns the squared error of the decoded picture over the samples of all channels, weighted as
     /// [`metrics::psnr`](crate::metrics::psnr) does.
     pub(super) fn error(&mut self, splats: &PackedSplats) -> Result<f64> {
-        if self.state().fits_all_channels() {
-            return self.fitted_error(splats);
-        }
-        let wide = self.state().widened(splats);
         match self {
-            Prepared::Whole(picture) => Ok(picture.error_of_all_channels(&wide)),
-            Prepared::Tiled(picture) => picture.measured(picture.source, &wide),
+            Prepared::Whole(picture) => picture.decoded_error(picture.input.original, splats),
+            Prepared::Tiled(picture) => picture.decoded_error(picture.source, splats),
         }
+    }
+
+    /// Returns the squared error of the decoded picture over the samples of all channels relative to that over the
+    /// fitted samples; 1 if there is none.
+    pub(super) fn error_factor(&mut self, splats: &PackedSplats) -> Result<f64> {
+        if self.state().fits_all_channels() {
+            return Ok(1.0);
+        }
+        let all = self.error(splats)?;
+        let fitted = match self {
+            Prepared::Whole(picture) => picture.decoded_error(picture.input.pixels, splats)?,
+            Prepared::Tiled(picture) => picture.decoded_error(picture.fitted_source, splats)?,
+        };
+        let factor = all / fitted;
+        Ok(if factor.is_finite() { factor } else { 1.0 })
     }
 
     /// Returns the SSIMULACRA2 score of the stored picture, with the channels that were left out restored.

@@ -4,6 +4,7 @@ use super::channels::widen;
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::metrics;
 use crate::parameter::Limit;
 use crate::pixels::{Depth, Pixels};
 use crate::raster::View;
@@ -45,6 +46,13 @@ pub(super) fn drawn_like(splats: &PackedSplats, like: &Pixels) -> Result<Pixels>
     let wide = (splats.channels != like.channels()).then(|| widen(splats, like.channels()));
     let splats = wide.as_ref().unwrap_or(splats);
     drawn(splats, &View::new(splats.width, splats.height), splats.depth)
+}
+
+/// Returns the squared error of a decoded picture over the samples of `original`, where 1.0 is white, weighted as
+/// [`metrics::psnr`] does.
+pub(super) fn decoded_error(original: &Pixels, decoded: &Pixels) -> f64 {
+    let white = f64::from(original.depth().max());
+    metrics::squared_error(original, decoded) / (white * white)
 }
 
 /// Renders a part of the picture, given as left, top, width and height in pixels.

@@ -122,21 +122,6 @@ pub(in crate::encode) fn stored_error(splats: &PackedSplats, planes: &Planes, ch
     field::squared_error(&Problem { scene: stored_scene(splats), target: planes }, &projected)
 }
 
-/// Returns the squared error between two pictures, with the weights of `wanted`.
-pub(in crate::encode) fn error_between(wanted: &Planes, drawn: &Planes) -> f64 {
-    let mut error = 0.0;
-    for y in 0..wanted.height {
-        let (weights, wanted_row, drawn) = (wanted.weights(y), wanted.row(y), drawn.row(y));
-        for k in 0..wanted.channels.count() {
-            for x in 0..wanted.width as usize {
-                let at = k * wanted.stride + x;
-                error += f64::from((drawn[at] - wanted_row[at]) * weights.factor(k, x)).powi(2);
-            }
-        }
-    }
-    error
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

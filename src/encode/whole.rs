@@ -10,8 +10,7 @@ use super::constant::{self, constant, is_constant};
 use super::device::Choice;
 use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
-#[cfg(feature = "quality-hook")]
-use super::render::drawn_like;
+use super::render::{decoded_error, drawn_like};
 use super::report::{ReportBuilder, Stage};
 use super::skipped::SkipReason;
 use super::state::EncodeState;
@@ -115,9 +114,10 @@ impl WholePicture<'_> {
         stored_error(splats, &self.planes.as_shown(), self.state.channels)
     }
 
-    /// Returns the same over the samples of all channels, which `splats` has.
-    pub(super) fn error_of_all_channels(&self, splats: &PackedSplats) -> f64 {
-        stored_error(splats, &Planes::new(self.input.original), self.state.channels)
+    /// Returns the squared error of the decoded picture over the samples of `pixels`: the caller's picture, or that with
+    /// the fitted channels.
+    pub(super) fn decoded_error(&self, pixels: &Pixels, splats: &PackedSplats) -> Result<f64> {
+        Ok(decoded_error(pixels, &drawn_like(splats, pixels)?))
     }
 
     /// Returns the SSIMULACRA2 score of the stored picture, with the channels that were left out restored.

@@ -198,9 +198,8 @@ pub struct EncodeOptions {
     pub icc: Option<Vec<u8>>,
     /// EXIF block to store, from its TIFF header on, regardless of `metadata`.
     pub exif: Option<Vec<u8>>,
-    /// Bytes of another file that reaches the quality, so that a search of several fits is worth its time only if it is
-    /// expected to find a file that is smaller.
-    #[cfg_attr(not(feature = "quality-hook"), allow(dead_code, reason = "there is no quality"))]
+    /// Bytes of another file that reaches the quality or the PSNR. A search is worth its time only if it may find a file
+    /// that is smaller, and returns the best file found if there is none.
     pub(crate) alternative: Option<u64>,
 }
 

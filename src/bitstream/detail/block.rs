@@ -10,16 +10,20 @@ use crate::bitstream::broken::Broken;
 /// Maximum magnitude of a level.
 pub(crate) const MAX_LEVEL: u32 = 32_767;
 /// Number of magnitudes that are coded in unary.
-const UNARY_SIZES: u32 = UNARY as u32 - 1;
+pub(super) const UNARY_SIZES: u32 = UNARY as u32 - 1;
 /// Maximum magnitude that contexts distinguish; larger levels count as this.
-const MAX_CONTEXT_SIZE: u32 = 5;
+pub(super) const MAX_CONTEXT_SIZE: u32 = 5;
+/// Minimum number of levels of a block with many.
+pub(super) const MANY: u32 = 5;
+/// Distances in memory from a level to the positions whose contexts contain it, and its weight in each.
+pub(super) const FOLLOWERS: [(usize, u8); 5] = [(1, 2), (STRIDE, 2), (STRIDE + 1, 1), (2, 1), (2 * STRIDE, 1)];
 
 /// The levels of a block by position.
 #[derive(Debug)]
 pub(crate) struct Block {
     pub levels: [i16; ROOM],
     /// Weighted sum of the preceding levels at each position.
-    near: [u8; ROOM],
+    pub(super) near: [u8; ROOM],
     /// The positions that have levels, in coding order.
     pub found: Vec<u16>,
 }
@@ -33,9 +37,9 @@ impl Default for Block {
 impl Block {
     /// Adds a level of this magnitude to the contexts of the following positions.
     #[inline(always)]
-    fn add_context(&mut self, at: usize, size: u32) {
+    pub(super) fn add_context(&mut self, at: usize, size: u32) {
         let m = size.min(MAX_CONTEXT_SIZE) as u8;
-        for (step, weight) in [(1, 2), (STRIDE, 2), (STRIDE + 1, 1), (2, 1), (2 * STRIDE, 1)] {
+        for (step, weight) in FOLLOWERS {
             let near = &mut self.near[(at + step) % ROOM];
             *near = near.wrapping_add(weight * m);
         }
@@ -43,9 +47,9 @@ impl Block {
 
     /// Resets the contexts that depend on the levels found.
     #[inline(always)]
-    fn reset_context(&mut self) {
+    pub(super) fn reset_context(&mut self) {
         for &at in &self.found {
-            for step in [1, STRIDE, STRIDE + 1, 2, 2 * STRIDE] {
+            for (step, _) in FOLLOWERS {
                 self.near[(usize::from(at) + step) % ROOM] = 0;
             }
         }
@@ -103,7 +107,7 @@ fn levels<D: Decisions>(
         return Err(Broken { field: "levels of a block", value: count.into() });
     }
     block.found.clear();
-    let many = usize::from(count > 4);
+    let many = usize::from(count >= MANY);
     let mut left = count;
     let mut class = class_of(left);
     let mut result = Ok(count);
@@ -156,7 +160,7 @@ pub(crate) fn savings(
     const LARGE: f32 = 0.3;
     let places = 16u32 << (2 * size);
     block.found.clear();
-    let many = usize::from(count > 4);
+    let many = usize::from(count >= MANY);
     let mut left = count;
     for (k, place) in scan(size).iter().enumerate() {
         if left == 0 {
@@ -192,13 +196,13 @@ pub(crate) fn savings(
 }
 
 #[inline(always)]
-fn class_of(left: u32) -> usize {
+pub(super) fn class_of(left: u32) -> usize {
     ((32 - (left - 1).leading_zeros()) as usize).min(LEFT - 1)
 }
 
 /// Codes the number of levels of a block: the position of its highest bit in unary, then the bits below it.
 #[inline(always)]
-fn count<D: Decisions>(d: &mut D, models: &mut KindModels, bucket: usize, most: u32, given: u32) -> u32 {
+pub(super) fn count<D: Decisions>(d: &mut D, models: &mut KindModels, bucket: usize, most: u32, given: u32) -> u32 {
     let goal = given.max(1).ilog2();
     let mut exponent = 0;
     while exponent < most && d.bit(&mut models.exponent[bucket][exponent as usize % EXPONENTS], exponent < goal) {

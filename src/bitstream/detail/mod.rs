@@ -4,6 +4,8 @@
 //! `block` one of its blocks with the models of `model`.
 
 pub(crate) mod block;
+#[cfg(feature = "encode")]
+pub(crate) mod block_price;
 pub(crate) mod decisions;
 pub(crate) mod given;
 pub(crate) mod head;

@@ -34,6 +34,19 @@ pub(crate) fn scan(size: usize) -> &'static [Place] {
     &SCANS.get_or_init(|| std::array::from_fn(places))[size]
 }
 
+/// Returns the position of each level of such a block in coding order, by its position in memory; 0 outside of the block.
+#[cfg(feature = "encode")]
+pub(crate) fn order(size: usize) -> &'static [u16; ROOM] {
+    static ORDERS: OnceLock<[Box<[u16; ROOM]>; SIZES]> = OnceLock::new();
+    &ORDERS.get_or_init(|| {
+        std::array::from_fn(|size| {
+            let mut order = Box::new([0; ROOM]);
+            scan(size).iter().enumerate().for_each(|(k, place)| order[usize::from(place.at)] = k as u16);
+            order
+        })
+    })[size]
+}
+
 fn places(size: usize) -> Vec<Place> {
     let side = 4usize << size;
     let mut places = Vec::with_capacity(side * side);

@@ -41,8 +41,8 @@ pub(super) enum BlockChoice {
 pub(super) enum LevelSearch {
     /// Tries each clearly uncertain level once.
     Quick,
-    /// Tries the levels for which the estimated savings are inconclusive. In blocks with few levels, it tries all of
-    /// them up to twice.
+    /// Lowers the levels for which an estimate of the savings is conclusive, and tries those for which it is not. In
+    /// blocks with few levels, it tries all of them up to twice.
     Thorough,
     /// Tries every uncertain level up to twice.
     Exhaustive,

@@ -8,10 +8,11 @@ use super::scaled::{CachedCoefficients, Factors, Values};
 use super::settings::{LevelSearch, Setting, planes};
 use crate::bitstream::coder::range::Encoder;
 use crate::bitstream::detail::block::{self, Block, Context, MAX_LEVEL};
-use crate::bitstream::detail::decisions::{Adaptive, Decisions, Price};
+use crate::bitstream::detail::block_price::BlockPrice;
+use crate::bitstream::detail::decisions;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLevels};
-use crate::bitstream::detail::model::{KINDS, Models, PLANES};
-use crate::bitstream::detail::scan::{ROOM, SIZES, STRIDE, at, scan};
+use crate::bitstream::detail::model::{KINDS, KindModels, Models, PLANES};
+use crate::bitstream::detail::scan::{ROOM, STRIDE, at, order};
 use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds, push};
 use crate::constants::detail;
 
@@ -59,6 +60,9 @@ impl Content for Dense {
 /// A coefficient that may have a level.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
+    /// Position in coding order.
+    k: u16,
+    /// Position in memory.
     at: u16,
     negative: bool,
     /// Magnitude, in steps.
@@ -84,18 +88,18 @@ struct Chooser<'a> {
     factors: Factors,
     values: Values,
     candidates: Vec<Candidate>,
+    price: BlockPrice,
     /// Candidates for which the estimate is inconclusive.
     doubtful: Vec<Candidate>,
     /// Estimated bits saved by lowering the level at each position of a block.
     savings: Box<[f32; ROOM]>,
 }
 
-/// The levels of a block: their number, their squared error and their cost. Error and cost are in squared steps.
+/// The levels of a block: their number, and their squared error in squared steps.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     count: u32,
     distortion: f32,
-    cost: f32,
 }
 
 /// The result of trying a block.
@@ -166,6 +170,7 @@ impl<'a> Chooser<'a> {
             factors: Factors::new(setting.head, setting.gain),
             values: Values::default(),
             candidates: Vec::new(),
+            price: BlockPrice::default(),
             doubtful: Vec::new(),
             savings: Box::new([0.0; ROOM]),
         }
@@ -228,13 +233,8 @@ impl<'a> Chooser<'a> {
             return self.priced_leaf(kind, cell, size).cost;
         }
         let near = self.state.smaller(kind, cell, size);
-        let model = self.models.kinds[kind].divide[size][near];
-        let price = |bit: bool| {
-            let mut price = Price::default();
-            price.bit(&mut model.clone(), bit);
-            self.setting.lambda * price.bits
-        };
-        let (whole, divided) = (price(false), price(true));
+        let model = &self.models.kinds[kind].divide[size][near];
+        let [whole, divided] = [false, true].map(|bit| self.setting.lambda * decisions::price(model, bit));
         let tried = self.priced_leaf(kind, cell, size);
         let one = tried.cost + whole;
         if tried.is_quiet {
@@ -332,16 +332,15 @@ impl<'a> Chooser<'a> {
         };
         self.values.take(coefficients, cell, size, self.factors.of(class, plane, size));
         self.candidates.clear();
-        let candidates = &mut self.candidates;
+        let (candidates, order) = (&mut self.candidates, order(size));
         self.values.above(detail::DEAD_ZONE, |u, v, value| {
-            candidates.push(Candidate { at: at(u, v) as u16, negative: value < 0.0, value: value.abs() });
+            let at = at(u, v);
+            candidates.push(Candidate { k: order[at], at: at as u16, negative: value < 0.0, value: value.abs() });
         });
         let bucket = self.state.bucket(plane, cell, size);
         let others = self.state.others(plane, cell, size);
         let filled = self.models.filled[plane][size][bucket][others];
-        let mut price = Price::default();
-        price.bit(&mut filled.clone(), false);
-        let nothing = self.values.energy + lambda * price.bits;
+        let nothing = self.values.energy + lambda * decisions::price(&filled, false);
         let empty =
             Tried { cost: nothing, is_quiet: self.values.largest < detail::MIN_SPLIT_MAGNITUDE, ..Tried::default() };
         if self.candidates.is_empty() {
@@ -350,14 +349,12 @@ impl<'a> Chooser<'a> {
         let is_priced = matches!(self.source, Source::All { .. });
         let is_crowded =
             is_priced && size > head.sizes(kind)[0] && self.candidates.len() > detail::MAX_PRICED_CANDIDATES[size];
-        let order = order(size);
-        self.candidates.sort_unstable_by_key(|c| std::cmp::Reverse(order[usize::from(c.at)]));
+        self.candidates.sort_unstable_by_key(|c| std::cmp::Reverse(c.k));
         let mut trial = Trial {
-            models: &mut self.models,
+            models: &mut self.models.kinds[kind],
             block: &mut self.block,
-            kind,
+            price: &mut self.price,
             context: Context::new(size, bucket),
-            filled,
             lambda,
             bias: head.biases.map(|bias| f32::from(bias) / 32.0),
         };
@@ -366,19 +363,23 @@ impl<'a> Chooser<'a> {
         let doubtful = &mut self.doubtful;
         if is_crowded {
             // The price is not compared with that of other blocks.
+            trial.start(&found);
         } else if is_many
             && level_search == LevelSearch::Thorough
             && trial.lower(&self.candidates, &mut found, &mut self.savings, doubtful)
         {
+            trial.start(&found);
             trial.try_each(doubtful, &mut found, |_, _| false);
         } else {
             for _ in 0..if level_search == LevelSearch::Quick { 1 } else { 2 } {
+                trial.start(&found);
                 if !trial.try_each(&self.candidates, &mut found, |value, level| is_sure(value, level, level_search)) {
                     break;
                 }
             }
         }
-        let is_worth_it = found.cost < nothing;
+        let cost = found.distortion + lambda * (decisions::price(&filled, true) + trial.price.bits());
+        let is_worth_it = cost < nothing;
         for c in &self.candidates {
             let at = usize::from(c.at);
             let level = std::mem::take(&mut self.block.levels[at]);
@@ -387,7 +388,7 @@ impl<'a> Chooser<'a> {
             }
         }
         match is_worth_it {
-            true => Tried { cost: found.cost, counts: [found.count, 0], is_quiet: false, is_crowded },
+            true => Tried { cost, counts: [found.count, 0], is_quiet: false, is_crowded },
             false => Tried { is_quiet: false, is_crowded, ..empty },
         }
     }
@@ -413,26 +414,21 @@ fn signed(level: u32, negative: bool) -> i16 {
     if negative { -(level as i16) } else { level as i16 }
 }
 
-/// A block that is priced repeatedly with different levels.
+/// A block of which different levels are tried.
 struct Trial<'a> {
-    models: &'a mut Models,
+    models: &'a mut KindModels,
     block: &'a mut Block,
-    kind: usize,
+    price: &'a mut BlockPrice,
     context: Context,
-    filled: Adaptive,
     lambda: f32,
     /// Offset of reconstructed values towards 0, in steps: for level 1, and for higher levels.
     bias: [f32; 2],
 }
 
 impl Trial<'_> {
-    /// Returns the bits of the block with its current levels, of which there are `count`.
-    fn price(&mut self, count: u32) -> f32 {
-        let mut price = Price::default();
-        price.bit(&mut self.filled.clone(), true);
-        block::code(&mut price, &mut self.models.kinds[self.kind], self.block, self.context, count)
-            .expect("levels within the format");
-        price.bits
+    /// Prices the block with its current levels.
+    fn start(&mut self, found: &Found) {
+        self.price.start(self.models, self.block, self.context, found.count);
     }
 
     /// Returns the squared error of a level, in squared steps.
@@ -457,8 +453,7 @@ impl Trial<'_> {
             self.set(c, level);
             distortion += self.error(c.value, level) - self.error(c.value, 0);
         }
-        let count = candidates.len() as u32;
-        Found { count, distortion, cost: distortion + self.lambda * self.price(count) }
+        Found { count: candidates.len() as u32, distortion }
     }
 
     /// Lowers each level by one if an estimate for that level alone clearly shows that this saves more than it costs.
@@ -470,7 +465,7 @@ impl Trial<'_> {
         savings: &mut [f32; ROOM],
         doubtful: &mut Vec<Candidate>,
     ) -> bool {
-        block::savings(&self.models.kinds[self.kind], self.block, self.context, found.count, savings);
+        block::savings(self.models, self.block, self.context, found.count, savings);
         doubtful.clear();
         let before = *found;
         for c in candidates {
@@ -495,41 +490,27 @@ impl Trial<'_> {
             *found = before;
             return false;
         }
-        found.cost = found.distortion + self.lambda * self.price(found.count);
         true
     }
 
-    /// Tries to lower each level by one and keeps the changes that reduce the cost. It skips levels for which `is_sure`
-    /// returns true. Returns whether any level changed.
+    /// Tries to lower each level by one, from the last position to the first, and keeps the changes that reduce the
+    /// cost. It skips levels for which `is_sure` returns true. Returns whether any level changed. The block must have
+    /// been priced with its current levels.
     fn try_each(&mut self, candidates: &[Candidate], found: &mut Found, is_sure: impl Fn(f32, u32) -> bool) -> bool {
         let mut is_changed = false;
         for c in candidates {
-            let level = self.level(c);
-            if level == 0 || is_sure(c.value, level) {
+            let (level, k) = (self.level(c), usize::from(c.k));
+            let count = found.count - u32::from(level == 1);
+            if level == 0 || count == 0 || is_sure(c.value, level) {
                 continue;
             }
-            self.set(c, level - 1);
-            let count = found.count - u32::from(level == 1);
-            let distortion = found.distortion + self.error(c.value, level - 1) - self.error(c.value, level);
-            let cost = if count == 0 { f32::INFINITY } else { distortion + self.lambda * self.price(count) };
-            if cost < found.cost {
-                (*found, is_changed) = (Found { count, distortion, cost }, true);
-            } else {
-                self.set(c, level);
+            let more = self.error(c.value, level - 1) - self.error(c.value, level);
+            let saved = self.price.saved(self.models, self.block, k);
+            if more < self.lambda * saved {
+                self.price.lower(self.models, self.block, k, saved);
+                (*found, is_changed) = (Found { count, distortion: found.distortion + more }, true);
             }
         }
         is_changed
     }
-}
-
-/// Returns the position of each level of a block in coding order.
-fn order(size: usize) -> &'static [u16] {
-    static ORDERS: std::sync::OnceLock<[Vec<u16>; SIZES]> = std::sync::OnceLock::new();
-    &ORDERS.get_or_init(|| {
-        std::array::from_fn(|size| {
-            let mut order = vec![0; ROOM];
-            scan(size).iter().enumerate().for_each(|(k, place)| order[usize::from(place.at)] = k as u16);
-            order
-        })
-    })[size]
 }

@@ -50,16 +50,17 @@ pub(super) fn reaching(
     report: &mut ReportBuilder<'_>,
 ) -> Result<Option<PackedSplats>> {
     let share = 1.0 - mask.share();
-    let target = match *judge.goal {
+    let (target, alternative) = match *judge.goal {
         Goal::Bytes(_) => return Ok(None),
         // The squared errors of all pixels are added.
-        Goal::Psnr(psnr) => Target::Psnr(psnr - 10.0 * share.strict_log10()),
+        Goal::Psnr(psnr) => (Target::Psnr(psnr - 10.0 * share.strict_log10()), None),
+        // No search of several fits.
         #[cfg(feature = "quality-hook")]
-        Goal::Quality(wanted) => Target::Quality(wanted + exact::PHOTOGRAPH_AIM_ABOVE * (100.0 - wanted)),
+        Goal::Quality(wanted) => (Target::Quality(wanted + exact::PHOTOGRAPH_AIM_ABOVE * (100.0 - wanted)), Some(0)),
     };
     // The tolerances are searched for in the other half of the time.
     let (time, detail) = (clock.left().map(|left| left / 2), Detail::GaussianShare(exact::PHOTOGRAPH_BASE_SHARE));
-    let options = EncodeOptions { target, detail, time, alternative: Some(0), ..options.clone() };
+    let options = EncodeOptions { target, detail, time, alternative, ..options.clone() };
     photographs(mask, judge.pixels, &options, report)
 }
 

@@ -12,6 +12,7 @@ mod search;
 mod survey;
 
 use std::ops::ControlFlow;
+use std::time::Duration;
 
 use self::mask::Cover;
 use self::paper::Paper;
@@ -33,6 +34,7 @@ use crate::constants::exact;
 use crate::constants::quality;
 use crate::effort::EffortSettings;
 use crate::error::{Error, Result};
+use crate::gaussian::Channels;
 use crate::metrics;
 use crate::options::{Detail, EncodeOptions, HiddenColors, Needs, Thumbnail, Tune};
 use crate::parameter::Parameter;
@@ -63,15 +65,26 @@ pub(super) fn lossless(
         return Err(Error::Parameter { parameter: Parameter::Other("layout"), problem });
     }
     let mut report = ReportBuilder::new(progress, options.inspector);
-    let survey = Survey::of(source, options, &mut report)?;
+    let exact = exact_candidate(source, options, &mut report)?;
+    finish(exact, None, options, report)
+}
+
+/// Returns the file that stores the picture of `source` without loss.
+fn exact_candidate(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    report: &mut ReportBuilder<'_>,
+) -> Result<Candidate> {
+    let survey = Survey::of(source, options, report)?;
     let since = report.seconds();
     report.stage_progress("exact layer", 0.0)?;
     let exact = Candidate::new(survey.into_file(options), 0)?;
     report.stage("exact layer", since);
-    finish(exact, None, options, report)
+    Ok(exact)
 }
 
-/// Encodes a picture that is not stored with near colours.
+/// Encodes a picture that is not stored with near colours: with Gaussians and a detail layer, or without loss if that
+/// takes no more bytes.
 ///
 /// # Errors
 /// As [`steps::encode`] and [`lossless`].
@@ -84,8 +97,70 @@ pub(super) fn encode_photograph(
     match options.target {
         #[cfg(feature = "quality-hook")]
         Target::Quality(wanted) if may_choose(options) => to_quality(source, options, wanted, executor, progress),
+        Target::Psnr(wanted) if may_choose(options) => to_psnr(source, options, wanted, executor, progress),
+        Target::Ratio(_) | Target::Bytes(_) if may_choose(options) => to_size(source, options, executor, progress),
         _ => steps::encode(source, options, executor, progress),
     }
+}
+
+/// Encodes the picture of `source` to a size: without loss if that fits, and otherwise with Gaussians and a detail layer.
+///
+/// # Errors
+/// As [`steps::encode`] and [`lossless`].
+fn to_size(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    let [width, height] = source.size();
+    let pixels = u64::from(width) * u64::from(height);
+    let goal = Goal::of(options, source.size(), source.channels());
+    let may_fit = matches!(goal, Goal::Bytes(bytes) if pixels <= MAX_TRIED_PIXELS
+        && exact::MIN_LOSSLESS_SIZE * survey::estimated_bytes(source)? <= bytes as f64);
+    if !may_fit {
+        return steps::encode(source, options, executor, progress);
+    }
+    let mut report = ReportBuilder::new(&mut *progress, options.inspector);
+    let exact = exact_candidate(source, options, &mut report)?;
+    if goal.is_met_by_size(&exact, options) {
+        return finish(exact, None, options, report);
+    }
+    let seconds = report.seconds();
+    let time = options.time.map(|time| time.saturating_sub(Duration::from_secs_f64(seconds)));
+    let mut lossy = steps::encode(source, &EncodeOptions { time, ..options.clone() }, executor, progress)?;
+    lossy.report.seconds += seconds;
+    Ok(lossy)
+}
+
+/// Encodes the picture of `source` to a PSNR: with Gaussians and a detail layer, or without loss if that takes no more
+/// bytes or if the other file misses the PSNR.
+///
+/// # Errors
+/// As [`steps::encode`] and [`lossless`].
+fn to_psnr(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    wanted: f64,
+    executor: Executor<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    // Decibels above an error of one code value.
+    let level = wanted - 20.0 * f64::from(source.depth().max()).strict_log10();
+    if level < exact::LOSSLESS_TRIED_LEVEL {
+        return steps::encode(source, options, executor, progress);
+    }
+    let mut exact = lossless(source, options, progress)?;
+    let time = options.time.map(|time| time.saturating_sub(Duration::from_secs_f64(exact.report.seconds)));
+    if level >= exact::LOSSLESS_LEVEL || time.is_some_and(|time| time.is_zero()) {
+        return Ok(exact);
+    }
+    let options = EncodeOptions { alternative: Some(exact.bytes.len() as u64), time, ..options.clone() };
+    let mut lossy = steps::encode(source, &options, executor, progress)?;
+    let seconds = lossy.report.seconds + exact.report.seconds;
+    (lossy.report.seconds, exact.report.seconds) = (seconds, seconds);
+    let is_better = lossy.report.psnr >= wanted && lossy.bytes.len() < exact.bytes.len();
+    Ok(if is_better { lossy } else { exact })
 }
 
 /// Encodes the picture of `source` to a quality: with Gaussians and a detail layer, or without loss if that takes no more
@@ -182,7 +257,7 @@ pub(super) fn encode(
     if survey.is_constant {
         return encode_photograph(source, options, executor, progress);
     }
-    let goal = Goal::of(options, &survey);
+    let goal = Goal::of(options, survey.size, survey.channels);
     let mask = match mask::cover(&survey, shown) {
         Cover::All => None,
         Cover::Some(mask) => Some(mask),
@@ -233,8 +308,13 @@ pub(super) fn encode(
     // Where alpha is soft, photographs take fewer bytes than predicted.
     let is_unpredictable = pixels.channels().alpha().is_some() && !near.splats.gaussians.is_empty();
     if is_unpredictable || near.bytes.len() as f64 >= exact::MIN_PREDICTED_SIZE * predicted {
-        let is_close = (near.tolerance > 0 || cleaned.is_some())
-            && near.bytes.len() as f64 <= exact::MAX_SINGLE_FIT_SIZE * predicted;
+        let is_close = match goal {
+            Goal::Psnr(_) => true,
+            _ => {
+                (near.tolerance > 0 || cleaned.is_some())
+                    && near.bytes.len() as f64 <= exact::MAX_SINGLE_FIT_SIZE * predicted
+            }
+        };
         let alternative = is_close.then_some(near.bytes.len() as u64);
         let lossy_options = EncodeOptions { alternative, ..lossy_options };
         let since = report.seconds();
@@ -298,6 +378,9 @@ fn lossy(
         return Ok(None);
     }
     let lossy = steps::encode(source, &timed(options), executor, progress)?;
+    if matches!(judge.goal, Goal::Psnr(wanted) if lossy.report.psnr < *wanted) {
+        return Ok(None);
+    }
     #[cfg(feature = "quality-hook")]
     if let (Goal::Quality(wanted), Some(found)) = (judge.goal, lossy.report.quality)
         && found < wanted - quality::TOLERANCE
@@ -355,8 +438,8 @@ enum Goal {
 }
 
 impl Goal {
-    fn of(options: &EncodeOptions, survey: &Survey) -> Goal {
-        let samples = f64::from(survey.size[0]) * f64::from(survey.size[1]) * survey.channels.count() as f64;
+    fn of(options: &EncodeOptions, [width, height]: [u32; 2], channels: Channels) -> Goal {
+        let samples = f64::from(width) * f64::from(height) * channels.count() as f64;
         match (options.target, picture_size(options, samples, 0)) {
             (_, Size::Bytes(bytes)) => Goal::Bytes(bytes),
             #[cfg(feature = "quality-hook")]

@@ -19,7 +19,6 @@ use crate::options::{EncodeOptions, HiddenColors};
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::rect::Rect;
-#[cfg(feature = "quality-hook")]
 use crate::strict_math::StrictMath;
 
 /// A picture as the tiles of an exact layer.
@@ -116,7 +115,6 @@ pub(super) fn sampled_rows(source: &dyn PixelSource, pairs: u32) -> impl Iterato
 ///
 /// # Errors
 /// Returns an error of `source`.
-#[cfg(feature = "quality-hook")]
 pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
     /// Bits of the samples in the second of two rows.
     fn bits<T: Copy + Into<i32>>(samples: &[T], count: usize) -> f64 {

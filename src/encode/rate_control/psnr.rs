@@ -53,10 +53,13 @@ impl Curve for Decibels {
 /// Encodes to a PSNR of `wanted` decibels over the samples of all channels.
 pub(super) fn to_psnr(prepared: &mut Prepared<'_>, wanted: f64, encode_at: EncodeAt) -> Result<Outcome> {
     let raw = prepared.state().samples();
+    let alternative = prepared.state().options.alternative;
+    let [smallest_size, largest] = super::sizes_tried(raw);
+    let largest = alternative.map_or(largest, |bytes| (bytes as f64 / raw).strict_log2().clamp(smallest_size, largest));
     let goal = ScoreGoal {
         required: wanted,
         aimed: wanted + rate_control::PSNR_AIM_ABOVE,
-        sizes: super::sizes_tried(raw),
+        sizes: [smallest_size, largest],
         tries: rate_control::MAX_PSNR_TRIES,
     };
     let plan = SearchPlan {
@@ -71,8 +74,8 @@ pub(super) fn to_psnr(prepared: &mut Prepared<'_>, wanted: f64, encode_at: Encod
         |_: &Prepared<'_>, reached: f64, _: &Outcome| (0.0..rate_control::PSNR_TOLERANCE).contains(&(reached - wanted));
     let (reached, mut best) = smallest(prepared, plan, score, is_close)?;
     if reached < wanted {
-        if prepared.state().options.time.is_some() {
-            // The report contains the PSNR that was reached in that time.
+        if prepared.state().options.time.is_some() || alternative.is_some() {
+            // The report contains the PSNR that was reached.
             return Ok(best);
         }
         let problem = format!("{wanted} dB cannot be reached: the largest file has {reached:.2} dB");
@@ -83,7 +86,12 @@ pub(super) fn to_psnr(prepared: &mut Prepared<'_>, wanted: f64, encode_at: Encod
         && picture.state.options.needs == Needs::Measured
         && picture.state.fits_all_channels()
     {
-        prune(picture, &mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
+        let mut pruned = best.clone();
+        prune(picture, &mut pruned, raw * 10f64.strict_powf(-0.1 * wanted))?;
+        // The error is higher once it is rounded to code values.
+        if decibels(prepared.error(&pruned.splats)?, raw) >= wanted {
+            best = pruned;
+        }
     }
     Ok(best)
 }

@@ -9,19 +9,18 @@ use super::narrow::Narrowed;
 use crate::bitstream::splats::PackedSplats;
 use crate::effort::EffortSettings;
 use crate::encode::Progress;
+use crate::encode::channels::widen;
 use crate::encode::clock::Clock;
 use crate::encode::constant::{constant, is_possible};
 use crate::encode::device::Choice;
 use crate::encode::hidden::InpaintedSource;
 use crate::encode::input::{self, may_leave_out};
-use crate::encode::render::drawn_part;
+use crate::encode::render::{decoded_error, drawn_part};
 use crate::encode::report::ReportBuilder;
 use crate::encode::skipped::SkipReason;
 use crate::encode::state::EncodeState;
-use crate::encode::stored_error::error_between;
 use crate::encode::workers::Executor;
 use crate::error::{Error, Result};
-use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{Detail, EncodeOptions};
 use crate::parameter::Parameter;
@@ -154,12 +153,14 @@ impl TiledPicture<'_> {
         splats
     }
 
-    /// Returns the squared error of the stored picture against `source`, which has the same channels.
-    pub(in crate::encode) fn measured(&mut self, source: &dyn PixelSource, splats: &PackedSplats) -> Result<f64> {
+    /// Returns the squared error of the decoded picture over the samples of `source`: the caller's picture, or that with
+    /// the fitted channels.
+    pub(in crate::encode) fn decoded_error(&mut self, source: &dyn PixelSource, splats: &PackedSplats) -> Result<f64> {
         let report = &mut self.state.report;
         let clock = report.seconds();
         let on_progress = &mut |done| report.stage_progress("measure", done);
-        let error = squared_error(source, &self.windows, splats, on_progress)?;
+        let wide = (splats.channels != source.channels()).then(|| widen(splats, source.channels()));
+        let error = squared_error(source, &self.windows, wide.as_ref().unwrap_or(splats), on_progress)?;
         report.stage("measure", clock);
         Ok(error)
     }
@@ -180,9 +181,9 @@ impl TiledPicture<'_> {
     }
 }
 
-/// Returns the squared error between a picture that is read in parts and the stored picture, weighted as
+/// Returns the squared error between a picture that is read in parts and the decoded picture, weighted as
 /// [`metrics::psnr`](crate::metrics::psnr) does.
-pub(super) fn squared_error(
+fn squared_error(
     source: &dyn PixelSource,
     parts: &[Window],
     splats: &PackedSplats,
@@ -192,9 +193,7 @@ pub(super) fn squared_error(
     for (i, part) in parts.iter().enumerate() {
         on_progress(i as f32 / parts.len() as f32)?;
         let area = part.core.bounds();
-        let wanted = Planes::new(&source.part(area)?);
-        // The rounding error of 16 bits is smaller than any error worth reporting.
-        error += error_between(&wanted, &Planes::new(&drawn_part(splats, area, Depth::Sixteen)?));
+        error += decoded_error(&source.part(area)?, &drawn_part(splats, area, splats.depth)?);
     }
     Ok(error)
 }
