@@ -101,7 +101,7 @@ pub(crate) const MIN_LOSSLESS_SIZE: f64 = 0.7;
 /// pictures of 8 bits.
 pub(crate) const LOSSLESS_TRIED_LEVEL: f64 = 0.0;
 /// PSNR from which on it is stored and no other file is tried, on the same scale.
-pub(crate) const LOSSLESS_LEVEL: f64 = 12.0;
+pub(crate) const LOSSLESS_LEVEL: f64 = 8.0;
 /// Points by which a file with near colours may miss a quality.
 #[cfg(feature = "quality-hook")]
 pub(crate) const NEAR_COLOR_TOLERANCE: f64 = 0.4;

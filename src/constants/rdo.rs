@@ -1,5 +1,12 @@
 //! Rate–distortion optimization of the integers (`rdo/`).
 
+// Steps of integers during a fit (`rounded.rs`).
+
+/// Minimum number of rows in which the error is measured that decides about the steps.
+pub(crate) const ROWS_OF_STEPS: u32 = 128;
+/// Maximum distance of these rows.
+pub(crate) const MAX_ROW_DISTANCE_OF_STEPS: u32 = 8;
+
 // Step sizes of the layouts (`rounded.rs`).
 
 /// Quantile of the primitives' sizes for which the coarsest positions of the coded layout are chosen.

@@ -2,8 +2,8 @@
 
 use crate::bitstream::splats::{Layout, PackedGaussian, Steps};
 use crate::constants::rdo;
-use crate::fit::model::drawing::field::float_error;
-use crate::fit::model::drawing::project::{Primitive, Projected};
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::drawing::project::{self, Primitive, Projected};
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::quantize::Quantizer;
@@ -18,9 +18,13 @@ pub(crate) struct Rounded {
 }
 
 impl Rounded {
-    /// Rounds `primitives` to the nearest integers, with steps that suit them.
+    /// Rounds `primitives` to the nearest integers, with steps that suit their error in some of the rows.
     pub(crate) fn nearest(problem: &Problem<'_>, layout: Layout, primitives: &[Primitive]) -> Self {
-        Self::of_error(problem, layout, primitives, float_error(problem, primitives))
+        let height = problem.scene.height;
+        let step = (height / rdo::ROWS_OF_STEPS).clamp(1, rdo::MAX_ROW_DISTANCE_OF_STEPS);
+        let rows = RowSet { step, phase: step / 2 };
+        let error = Field::default().draw(problem, &project::all(primitives, height), rows, Output::Picture);
+        Self::of_error(problem, layout, primitives, error * problem.samples(RowSet::ALL) / problem.samples(rows))
     }
 
     /// Rounds `primitives`, whose picture has the squared error `error`.

@@ -117,7 +117,7 @@ pub(super) fn sampled_rows(source: &dyn PixelSource, pairs: u32) -> impl Iterato
 /// Returns an error of `source`.
 pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
     /// Bits of the samples in the second of two rows.
-    fn bits<T: Copy + Into<i32>>(samples: &[T], count: usize) -> f64 {
+    fn bits<T: Copy + Into<i32>>(samples: &[T], count: usize, of: &impl Fn(u32) -> f64) -> f64 {
         let (above, row) = samples.split_at(samples.len() / 2);
         let value = |row: &[T], at: usize| -> i32 { row[at].into() };
         let each = |at: usize| {
@@ -129,18 +129,21 @@ pub(super) fn estimated_bytes(source: &dyn PixelSource) -> Result<f64> {
             };
             let own = difference(at);
             let rest = if !at.is_multiple_of(count) && count >= 3 { own - difference(at - 1) } else { own };
-            (2.0 * f64::from(own.abs().min(rest.abs())) + 1.0).strict_log2() + 0.5
+            of(own.unsigned_abs().min(rest.unsigned_abs()))
         };
         (count..row.len()).map(each).sum()
     }
+    let bits_of = |difference: u32| (2.0 * f64::from(difference) + 1.0).strict_log2() + 0.5;
+    let small: [f64; 64] = std::array::from_fn(|difference| bits_of(difference as u32));
+    let of = |difference: u32| small.get(difference as usize).copied().unwrap_or_else(|| bits_of(difference));
     let [width, height] = source.size();
     let (mut sum, mut samples) = (0.0, 0.0);
     for rows in sampled_rows(source, exact::ESTIMATED_PAIRS) {
         let rows = rows?;
         let count = rows.channels().count();
         sum += match rows.samples() {
-            Samples::U8(v) => bits(v, count),
-            Samples::U16(v) => bits(v, count),
+            Samples::U8(v) => bits(v, count, &of),
+            Samples::U16(v) => bits(v, count, &of),
         };
         samples += f64::from(width) * count as f64;
     }
