@@ -97,6 +97,9 @@ pub(crate) const LOSSLESS_QUALITY: f64 = 99.5;
 pub(crate) const LOSSLESS_TRIED_QUALITY: f64 = 97.0;
 /// Smallest size of a picture without loss relative to its estimate.
 pub(crate) const MIN_LOSSLESS_SIZE: f64 = 0.7;
+/// Seconds for each pixel of a photograph without loss. On one busy core of an Intel Xeon, three photographs took 6 to 9
+/// µs of CPU time.
+pub(crate) const LOSSLESS_SECONDS: f64 = 6e-6;
 /// PSNR from which on the picture without loss is tried, in decibels above that of an error of one code value: 48 dB for
 /// pictures of 8 bits.
 pub(crate) const LOSSLESS_TRIED_LEVEL: f64 = 0.0;

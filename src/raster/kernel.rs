@@ -100,9 +100,9 @@ impl<T: Sample> Task for Job<'_, '_, T> {
     }
 }
 
-/// Renders a tile with `C` channels. `P` planes are accumulated: the channels and the weight, by which the sum alone
-/// ([`Blend::Sum`]) is not divided. Code without the plane would be as long as all of this again, for a blend that the
-/// encoder does not choose.
+/// Renders a tile with `C` channels. `P` planes are accumulated: those of the channels, and that of the weights.
+/// [`Blend::Sum`] does not divide by the weights; a separate function without their plane would double the code, for a
+/// blend that the encoder does not choose.
 #[inline(always)]
 fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_, '_, T>) {
     let Job { scene, members, window, scratch, out, added } = job;

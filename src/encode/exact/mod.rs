@@ -113,12 +113,10 @@ fn to_size(
     executor: Executor<'_>,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    let [width, height] = source.size();
-    let pixels = u64::from(width) * u64::from(height);
     let goal = Goal::of(options, source.size(), source.channels());
-    let may_fit = matches!(goal, Goal::Bytes(bytes) if pixels <= MAX_TRIED_PIXELS
+    let may_fit = matches!(goal, Goal::Bytes(bytes) if pixels_of(source) <= MAX_TRIED_PIXELS
         && exact::MIN_LOSSLESS_SIZE * survey::estimated_bytes(source)? <= bytes as f64);
-    if !may_fit {
+    if !may_fit || !has_time(source, options) {
         return steps::encode(source, options, executor, progress);
     }
     let mut report = ReportBuilder::new(&mut *progress, options.inspector);
@@ -147,7 +145,7 @@ fn to_psnr(
 ) -> Result<Encoded> {
     // Decibels above an error of one code value.
     let level = wanted - 20.0 * f64::from(source.depth().max()).strict_log10();
-    if level < exact::LOSSLESS_TRIED_LEVEL {
+    if level < exact::LOSSLESS_TRIED_LEVEL || !has_time(source, options) {
         return steps::encode(source, options, executor, progress);
     }
     let mut exact = lossless(source, options, progress)?;
@@ -197,6 +195,16 @@ fn to_quality(
     Ok(exact)
 }
 
+/// Returns whether the time limit is long enough to try a photograph without loss.
+fn has_time(source: &dyn PixelSource, options: &EncodeOptions) -> bool {
+    let needed = exact::LOSSLESS_SECONDS * pixels_of(source) as f64;
+    options.time.is_none_or(|time| time.as_secs_f64() >= needed)
+}
+
+fn pixels_of(source: &dyn PixelSource) -> u64 {
+    u64::from(source.width()) * u64::from(source.height())
+}
+
 /// Returns whether the options leave it to the encoder to choose an exact layer.
 fn may_choose(options: &EncodeOptions) -> bool {
     options.layout == Layout::Coded
@@ -216,7 +224,7 @@ fn may_choose(options: &EncodeOptions) -> bool {
 /// Returns an error of `source`.
 pub(super) fn is_worth_trying(source: &dyn PixelSource, options: &EncodeOptions) -> Result<bool> {
     let [width, height] = source.size();
-    if !may_choose(options) || height < 2 || u64::from(width) * u64::from(height) > MAX_TRIED_PIXELS {
+    if !may_choose(options) || height < 2 || pixels_of(source) > MAX_TRIED_PIXELS {
         return Ok(false);
     }
     let (mut either, mut both, mut edges, mut pixels) = (0, 0, 0, 0u64);
