@@ -368,7 +368,7 @@ fn saved_pictures_open_again_with_their_metadata() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("saved.ssplat");
     let report = ssplat::unstable::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
-    assert!(report.gaussians > 0);
+    assert!(report.psnr > 25.0);
     assert_eq!(image::open(&path).unwrap().color(), ColorType::Rgb8);
 
     let mut bytes = Vec::new();
