@@ -76,8 +76,8 @@ impl<'a> Prepared<'a> {
         Ok(Outcome { bytes, splats, float_error, quality: None, pruned_bytes: 0 })
     }
 
-    /// Returns the squared error of the stored picture over the fitted samples, before it is rounded to code values,
-    /// weighted as [`metrics::psnr`](crate::metrics::psnr) does.
+    /// Returns the squared error of the stored picture over the fitted samples, weighted as
+    /// [`metrics::psnr`](crate::metrics::psnr) does: before it is rounded to code values, or after it in tiles.
     pub(super) fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
         match self {
             Prepared::Whole(picture) => Ok(picture.shown_error(splats)),
@@ -94,13 +94,12 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Returns the squared error of the decoded picture over the samples of all channels relative to that over the
-    /// fitted samples; 1 if there is none.
-    pub(super) fn error_factor(&mut self, splats: &PackedSplats) -> Result<f64> {
+    /// Returns the squared error of the decoded picture over the samples of all channels, which is `all`, relative to
+    /// that over the fitted samples; 1 if there is none.
+    pub(super) fn error_factor(&mut self, splats: &PackedSplats, all: f64) -> Result<f64> {
         if self.state().fits_all_channels() {
             return Ok(1.0);
         }
-        let all = self.error(splats)?;
         let fitted = match self {
             Prepared::Whole(picture) => picture.decoded_error(picture.input.pixels, splats)?,
             Prepared::Tiled(picture) => picture.decoded_error(picture.fitted_source, splats)?,

@@ -25,7 +25,7 @@ pub(super) fn write(mut prepared: Prepared<'_>, mut outcome: Outcome) -> Result<
     prepared.inspect_written(&outcome.splats)?;
     // The error before rounding was measured over the fitted channels. The factor adds the channels that were left out,
     // in the same proportion as in the file.
-    let float_error = outcome.float_error * prepared.error_factor(&outcome.splats)?;
+    let float_error = outcome.float_error * prepared.error_factor(&outcome.splats, error)?;
     let samples = prepared.state().samples();
     let EncodeState { options, device, report, .. } = prepared.state_mut();
     let report = EncodeReport {
